@@ -77,11 +77,10 @@ def real_time() -> Result:
     """Simulate one second at 1 kHz with the layer: release, flight and landings."""
 
     def run(stepper: Any) -> float:
-        layer = np.empty((3, stepper.field_points))
         stepper.reset()
         for tick in range(1, TICKS + 1):
             stepper.advance_to(tick / TICKS)
-            stepper.read_layer(layer)
+            stepper.read_layer()
         return float(stepper.events()[0].time)
 
     def cells(name: str, goal: float, layer: Layer) -> Case:

@@ -19,7 +19,7 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, NonSeekingReader
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes
-from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.bag_folder import dump_yaml
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import Channel, Message
 

@@ -151,7 +151,7 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         throw = simulate(Rig(layer=best.layer), cells=cells, until=times[-1])
         trajectory = throw.trajectory(times)
         right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
-        release = throw.first_release
+        release = throw.events[0]
         right.plot(1e3 * release.time, release.velocity, 'o', color=colour, mec='white')
     plate = trajectory.plate_velocity
     right.plot(1e3 * times, plate, color=style.BLACK, ls='--', lw=1.0, label='plate')

@@ -211,7 +211,7 @@ def draw_throw() -> Figure:
     bare = rig.layer.thickness + bare_flight(throw, time[after])
     axes.plot(MILLI * time[after], MILLI * bare, color=BARE, lw=1.8, ls=(0, (4, 2)))
     axes.axvline(MILLI * throw.ejection_time, color='0.5', lw=0.8, ls=':')
-    _quote_release(axes, throw, (1.0, 40.0), MILLI * throw.first_release.position)
+    _quote_release(axes, throw, (1.0, 40.0), MILLI * throw.events[0].position)
     for text, x, y, color, angle in (
         ('projectile', 13.6, 32.2, 'white', 27.0),
         ('from a bare plate, $\\alpha$ = 1', 15.6, 23.9, BARE, 10.5),

@@ -44,8 +44,7 @@ from soft_throw_ros.identification.fit_description import (
     Treatment,
     values_of,
 )
-from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import fit_warnings, FitError
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 
 _OF_TWO_SENSORS = ('projectile.scale', 'projectile.delay')  # between which they may differ

@@ -20,9 +20,9 @@ from soft_throw_ros.commands.output import (
     slow_notice,
     written_file,
 )
-from soft_throw_ros.configuration.interface import TWIN_TOPICS
+from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
 from soft_throw_ros.recording import rerun_viewer as viewer
-from soft_throw_ros.recording.twin_journal import find_throws, identify, ThrowStart
+from soft_throw_ros.recording.twin_journal import find_throws, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
 _BATCH = 5000
@@ -116,12 +116,14 @@ def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
 
 def _choose_throw(reader: BagReader, number: int | None) -> ThrowStart | None:
     """Return the throw to show; None if the bag contains none and none is requested."""
-    topics = {item.topic: identify(item.topic, item.type)[1] for item in reader.channels}
-    if not any(topic in TWIN_TOPICS for topic in topics.values()):
+    topics = {item.topic: find_topic(item.topic, item.type) for item in reader.channels}
+    if not any(found and found[1] in TWIN_TOPICS for found in topics.values()):
         raise ValueError(
             f'{reader.path}: no topic of a twin is in the bag; topics: {", ".join(topics)}'
         )
-    journals = [name for name, topic in topics.items() if topic == TWIN_TOPICS.journal]
+    journals = [
+        name for name, found in topics.items() if found and found[1] == TWIN_TOPICS.journal
+    ]
     throws = next(iter(find_throws(reader.messages(journals)).values()), [])  # the view in front
     chosen = [throw for throw in throws if number in (None, throw.number)]
     if number is not None and not chosen:

@@ -105,7 +105,7 @@ def _spring(rig: Rig) -> dict[str, float]:
 def _simulated(rig: Rig) -> dict[str, float]:
     """Simulate a throw to its end."""
     throw = simulate(rig)
-    mass, release, loads = rig.projectile.mass, throw.first_release, throw.loads
+    mass, release, loads = rig.projectile.mass, throw.events[0], throw.loads
     rise = release.position - throw.rest_height
     projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
     result: dict[str, float] = {

@@ -16,9 +16,7 @@ from soft_throw_ros.configuration.table import float_of, quote
 
 Floats = NDArray[np.float64]
 
-MIN_STEP = 1e-12
-"""Smallest increase of time between two rows. [s]"""
-
+MIN_STEP = 1e-12  # smallest increase of time between two rows [s]
 _MISSING = ('', 'nan', 'na', 'n/a')
 _MICRO = str.maketrans({'\N{MICRO SIGN}': 'u', '\N{GREEK SMALL LETTER MU}': 'u'})
 
@@ -64,15 +62,7 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
 
 
 def parse_label(cell: str) -> tuple[str, str]:
-    """
-    Return the label of a column in small letters, and its unit, which may be empty.
-
-    Examples
-    --------
-    >>> parse_label('Height [\N{MICRO SIGN}m]')
-    ('height', 'um')
-
-    """
+    """Return the label of a column in small letters, and its unit, as in `Height [um]`, or ''."""
     name, _, unit = re.sub(r'[\[(]', '\n', cell, count=1).partition('\n')
     return name.strip().lower(), unit.rstrip(' )]').translate(_MICRO)
 
@@ -105,18 +95,16 @@ def read_columns(
     if not rows:
         raise ValueError(f'{name}:{first}: names columns, but no line with numbers follows')
     if second not in sources:
-        raise ValueError(
-            f'{name}:{first}: must have columns {time} and {second}, got {quote(head[0])} alone'
-        )
+        rule = f'must have columns {time} and {second}, got {quote(head[0])} alone'
+        raise ValueError(f'{name}:{first}: {rule}')
     table = []
     for number, cells in rows:
         where = f'{name}:{number}'
         if len(cells) == len(head) + 1 and not cells[-1]:
             del cells[-1]  # the line ends with a separator
         if len(cells) != len(head):
-            raise ValueError(
-                f'{where}: must have {len(head)} values as line {first} has, got {len(cells)}'
-            )
+            rule = f'must have {len(head)} values as line {first} has, got {len(cells)}'
+            raise ValueError(f'{where}: {rule}')
         table.append([
             _number(cells[index], unit, f'{where}: {key}', columns[key])
             for key, (index, unit) in sources.items()

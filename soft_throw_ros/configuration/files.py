@@ -3,8 +3,8 @@
 """
 ROS parameter files, read without ROS.
 
-Offline commands read the values here. A node gets its values from ROS, and finds here the source
-of each, a file or an argument, for error messages and for the order of requests.
+A node gets its values from ROS, and finds here the source of each, a file or an argument, for
+error messages and for the order of requests.
 """
 
 from __future__ import annotations
@@ -40,17 +40,13 @@ class Source(NamedTuple):
 
 
 def read(
-    path: str | Path,
-    *,
-    node: str = '/twin',
-    table: Table = TWIN,
-    is_required: bool = True,
+    path: str | Path, *, node: str = '/twin', table: Table = TWIN, is_required: bool = True
 ) -> dict[str, Value]:
     """
     Read complete settings for a node from a ROS parameter file, which may lack parameters.
 
-    Results, and parameters that every node has, are ignored, so that a file of `ros2 param dump`
-    can be read. So are parameters of other nodes in a section for several nodes.
+    Results and parameters of rclpy, as in a file of `ros2 param dump`, are ignored, and so are
+    parameters of other nodes in a section for several nodes.
     """
     everything = read_file(path)
     sources = select(everything, node)
@@ -65,9 +61,8 @@ def start(values: Settings, sources: dict[str, Source], table: Table = TWIN) -> 
     """
     Return the settings at the start from the values of files and arguments.
 
-    Each file is one request, and so is each row of `-p`; requests are applied in their order.
-    Therefore `-p layer.thickness:=...` turns a named layer of a file into a custom one. A value of
-    a file that is present already is no change, so that one line of a complete file can be edited.
+    Each file is one request, and so is each row of `-p`, which may replace a layer of a file. A
+    value of a file that is present already is no change, so that one line of it can be edited.
     """
     settings = table.defaults()
     sources = {name: sources.get(name, Source('', name, '')) for name in values}
@@ -126,11 +121,7 @@ def _matches(pattern: str, node: str) -> bool:
 
 
 def render(
-    settings: Settings,
-    *,
-    table: Table = TWIN,
-    title: str = '',
-    assumed: Collection[str] = (),
+    settings: Settings, *, table: Table = TWIN, title: str = '', assumed: Collection[str] = ()
 ) -> str:
     """
     Return the text of a ROS parameter file with comments from the table.
@@ -177,12 +168,10 @@ def read_file(path: str | Path, order: int = 0) -> list[Source]:
     return sources
 
 
-def _leaves(
-    tree: dict[Any, Any], keys: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves(tree: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Yield the keys of each value, from the outermost on, and the value."""
+    if not isinstance(tree, dict):
+        yield keys, tree
+        return
     for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, (*keys, str(key)))
-        else:
-            yield (*keys, str(key)), value
+        yield from _leaves(value, (*keys, str(key)))

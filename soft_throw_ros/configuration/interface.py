@@ -79,6 +79,10 @@ class Service(NamedTuple):
     meaning: str
 
 
+def _diagnostics(meaning: str) -> Topic:
+    return Topic('/diagnostics', ARRAY, f'{meaning}, at 1 Hz', depth=_SEVERAL)
+
+
 class TwinTopics(NamedTuple):
     """Topics of the twin."""
 
@@ -89,8 +93,7 @@ class TwinTopics(NamedTuple):
     layer_joint_states: Topic = Topic(
         '~/layer/joint_states', JOINT_STATE,
         'Height, velocity and compressive force of 64 points of the layer from plate to top, at '
-        '`rate.field`',
-        depth=100, joints=LAYER_JOINTS)
+        '`rate.field`', depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
         '~/throw_field', CLOUD,
         'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
@@ -99,8 +102,7 @@ class TwinTopics(NamedTuple):
     throw_energies: Topic = Topic(
         '~/throw_energies', CLOUD,
         'Time t [s] as above, work of the plate, and energy of projectile, layer and both [J], up '
-        'to the first release',
-        is_latched=True, axes=ENERGIES)
+        'to the first release', is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
         is_latched=True)
@@ -131,8 +133,7 @@ class TwinTopics(NamedTuple):
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
         'With a measured plate, the projectile as far ahead as possible, with the predicted time '
-        'as stamp, one message per tick of a throw',
-        depth=_ONE_SECOND, joints=('projectile',))
+        'as stamp, one message per tick of a throw', depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
         '~/residual', JOINT_STATE,
         'Model minus measured positions, if both bodies are measured, with the stamps of the '
@@ -141,16 +142,13 @@ class TwinTopics(NamedTuple):
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
         'Positions of the plate and optionally of the projectile, with the time of measurement as '
-        'stamp, at 2 to 10 kHz',
-        depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS, quantities=('position',),
-        is_input=True)
+        'stamp, at 2 to 10 kHz', depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
+        quantities=('position',), is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
         'Motion of the plate for a controller, with the start of the throw as stamp, if '
         '`engine.command` is true')
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Timing, pending changes and measurements of the twin, at 1 Hz',
-        depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Timing, pending changes and measurements of the twin')
 
 
 class RecorderTopics(NamedTuple):
@@ -159,16 +157,7 @@ class RecorderTopics(NamedTuple):
     status: Topic = Topic(
         '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
         depth=_SEVERAL, is_latched=True)
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Recorded and lost messages, at 1 Hz',
-        depth=_SEVERAL)
-
-
-class ViewerTopics(NamedTuple):
-    """Topics of the viewer, besides the topics on display."""
-
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Number of messages that are not shown, at 1 Hz', depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Recorded and lost messages')
 
 
 class RigTopics(NamedTuple):
@@ -188,15 +177,7 @@ class CalibratorTopics(NamedTuple):
     measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
     throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
     plate_trajectory: Topic = replace(TwinTopics().plate_trajectory.at('twin'), is_input=True)
-    diagnostics: Topic = Topic(
-        '/diagnostics', ARRAY, 'Result of the last identification, at 1 Hz', depth=_SEVERAL)
-
-
-class ReplayTopics(NamedTuple):
-    """Topics of the node that plays a bag, in addition to the recorded topics."""
-
-    clock: Topic = Topic(
-        '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
+    diagnostics: Topic = _diagnostics('Result of the last identification')
 
 
 class TwinServices(NamedTuple):
@@ -224,12 +205,13 @@ class ReplayServices(NamedTuple):
     resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
 
 
+VIEWER_DIAGNOSTICS = _diagnostics('Number of messages that are not shown')
+REPLAY_CLOCK = Topic(
+    '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
 TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
-VIEWER_TOPICS = ViewerTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()
-REPLAY_TOPICS = ReplayTopics()
 TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
@@ -237,8 +219,8 @@ REPLAY_SERVICES = ReplayServices()
 INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
     'twin': (TWIN_TOPICS, TWIN_SERVICES),
     'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
-    'viewer': (VIEWER_TOPICS, ()),
-    'replay': (REPLAY_TOPICS, REPLAY_SERVICES),
+    'viewer': ((VIEWER_DIAGNOSTICS,), ()),
+    'replay': ((REPLAY_CLOCK,), REPLAY_SERVICES),
     'rig': (RIG_TOPICS, ()),
     'calibrator': (CALIBRATOR_TOPICS, ()),
 }
@@ -253,13 +235,6 @@ def find_topic(name: str, type_name: str) -> tuple[str, Topic] | None:
 
     The node is empty for a topic that several nodes share. The longest matching name has
     precedence, so that the layer's joint states do not match the topic of a node named `layer`.
-
-    Examples
-    --------
-    >>> node, topic = find_topic('/rig1/twin/layer/joint_states', 'sensor_msgs/msg/JointState')
-    >>> node, topic.name
-    ('/rig1/twin', '~/layer/joint_states')
-
     """
     for topic in _FINDABLE:
         node = name.removesuffix(resolve(topic.name, ''))

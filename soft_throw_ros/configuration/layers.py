@@ -41,10 +41,10 @@ _MAX_SHEETS = 200  # sheets of a stack: the thickest layer has as many of half a
 STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
 """Parameters that each sheet of a stack and the whole stack have."""
 
+# Properties in a library: of a stack, of every material, and all of a material
 _STACK = {'description', 'source', 'stack'}
 _MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
 _ANY_MATERIAL = _MATERIAL | {*BOUNDS, 'thicknesses', 'is_ideal'} - {'thickness'}
-"""Properties in a library: of a stack, of every material, and all of a material."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class Material:
     @property
     def settings(self) -> dict[str, float | str]:
         """Parameters of the twin for a layer of this material."""
-        names = ('wave_speed', 'density', 'loss_tangent', *(['diameter'] if self.diameter else []))
+        names = ('wave_speed', 'density', 'loss_tangent', *['diameter'] * bool(self.diameter))
         return {'layer.stack': '', **{f'layer.{name}': getattr(self, name) for name in names}}
 
     def layer_name(self, thickness: float) -> str:
@@ -81,12 +81,7 @@ class Library(NamedTuple):
 
 
 def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> list[Layer]:
-    """
-    Read the sheets of a stack from the plate up, separated by commas.
-
-    A sheet is `THICKNESS MATERIAL`, or `THICKNESS WAVE_SPEED DENSITY` and perhaps its loss
-    tangent, in SI units; `write_stack` writes the numbers.
-    """
+    """Read the sheets of a stack from the plate up, see the parameter `layer.stack`."""
     if (count := text.count(',') + 1) > _MAX_SHEETS:
         rule = f'must have at most {_MAX_SHEETS} sheets, got {count}'
         raise ParameterError(f'layer.stack {rule}', 'layer.stack')
@@ -166,11 +161,11 @@ def _library(path: str, _changed_ns: int) -> Library:
                     layers[name] = stack_values(str(tree[name]['stack']), lambda: materials)
                     continue
                 material = materials[name] = _material(name, tree[name])
+                if not material.thicknesses:
+                    layers[name] = material.settings
                 for thickness in material.thicknesses:
                     values = {'layer.thickness': thickness, **material.settings}
                     layers[material.layer_name(thickness)] = values
-                if not material.thicknesses:
-                    layers[name] = material.settings
             except ParameterError as error:
                 raise ParameterError(f'{file}: {quote(name)}: {error}') from None
     return Library(MappingProxyType(materials), MappingProxyType(layers))

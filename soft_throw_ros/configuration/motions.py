@@ -18,13 +18,11 @@ from typing import Any, TypeAlias
 import zlib
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.configuration.csv_rows import Column, read_columns
+from numpy.typing import ArrayLike
+from soft_throw_ros.configuration.csv_rows import Column, Floats, read_columns
 from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.core.plate import require_samples, SampledMotion
 from soft_throw_ros.storage.regular_file import read_regular_file
-
-Floats = NDArray[np.float64]
 
 PARAMETER = 'engine.motion_file'
 
@@ -55,9 +53,7 @@ def read(path: str | Path) -> SampledMotion:
     """
     Read the motion of a plate from a CSV of times and heights, see `_COLUMNS` for its labels.
 
-    With the columns `velocity` and `acceleration` the motion is exact; otherwise
-    `motion_from_record` smooths the heights. ParameterError has file and line.
-
+    With velocities and accelerations it is exact, otherwise that of `motion_from_record`.
     """
     name = str(path)
     try:
@@ -94,22 +90,12 @@ def _motion(columns: Mapping[str, Floats]) -> SampledMotion:
 
 def motion_from_record(times: ArrayLike, heights: ArrayLike) -> SampledMotion:
     """
-    Fit a motion to a record of a plate that starts from rest, at time 0, and comes to rest.
+    Fit a motion to a record of a plate [s], [m] that rests, starts at time 0, and comes to rest.
 
-    Before the start the plate may rest for any time [s], [m].
-
-    Notes
-    -----
-    Fits SciPy's smoothing spline, whose smoothness is chosen by generalised cross-validation [1]_
-    and needs to know neither the noise nor the motion. It would also round off the start, where
-    the acceleration jumps; so it is fitted to the samples since the start and to their mirror
-    image before it, which together are smooth, and begins at rest by symmetry.
-
-    References
-    ----------
-    .. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numer. Math. 31
-       (1979).
-
+    SciPy's smoothing spline, whose smoothness is chosen by generalised cross-validation (P. Craven
+    and G. Wahba, Numer. Math. 31, 1979), would round off the start, where the acceleration jumps.
+    So it is fitted to the samples since the start and to their mirror image before it, which
+    together are smooth, and begins at rest by symmetry.
     """
     times, heights = require_samples(times, heights, 'heights')
     if times.size < _MIN_SAMPLES:
@@ -165,15 +151,14 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
         return float(times[0]), float(heights[0])
     rest_height = float(np.median(heights[: first - 1])) if first > 3 else float(heights[0])
     t, z = times[: far + 1], heights[: far + 1] - rest_height
-
     earliest, latest = float(times[max(2 * first - far - 2, 0)]), float(times[first])
 
-    def start(share: float) -> float:
-        return earliest + float(np.clip(share, 0.0, 1.0)) * (latest - earliest)
+    def start(share: Floats) -> float:
+        return earliest + float(np.clip(share.item(), 0.0, 1.0)) * (latest - earliest)
 
     def criterion(share: Floats, terms: int) -> float:
         """Weigh the misfit of a polynomial from rest against its terms, twice as much as BIC."""
-        s = np.maximum(t - start(share.item()), 0.0) / (t[-1] - t[0])
+        s = np.maximum(t - start(share), 0.0) / (t[-1] - t[0])
         basis = s[:, None] ** np.arange(2.0, 2.0 + terms)
         coefficients = np.linalg.lstsq(basis, z, rcond=None)[0]
         if coefficients[0] * z[-1] <= 0.0:  # a start the other way explains nothing
@@ -186,7 +171,7 @@ def _find_start(times: Floats, heights: Floats) -> tuple[float, float]:
         for terms in (2, 3, 4)
     ]
     share, _ = min(minima, key=lambda item: float(item[1]))
-    return start(share.item()), rest_height
+    return start(share), rest_height
 
 
 @lru_cache(maxsize=4)  # each change of the rig asks again

@@ -37,15 +37,13 @@ RIG = Table(
             unit='m/s', low=-0.1, high=0.1),
         row('faults.projectile_scale', 1.0,
             'Measured over true height of the projectile', low=0.5, high=2.0),
-        row('faults.projectile_delay', 0.0,
-            "Delay of the projectile's heights",
-            unit='s', low=-2e-3, high=2e-3),
+        row('faults.projectile_delay', 0.0, "Delay of the projectile's heights", unit='s',
+            low=-2e-3, high=2e-3),
         row('faults.ringing', 0.0,
             'Amplitude of the ringing of the plate before a periodic throw, over that of the '
             'engine', low=0.0, high=0.5),
         row('faults.second_mode', 0.0,
-            'Amplitude of a second mode of the plate, over that of the engine',
-            low=0.0, high=0.5),
+            'Amplitude of a second mode of the plate, over that of the engine', low=0.0, high=0.5),
         row('faults.second_mode_frequency', 310.0, 'Frequency of the second mode',
             unit='Hz', low=10.0, high=2000.0),
         row('wear.throws', 0, 'Throws after which the layer ages; 0 for never',
@@ -63,8 +61,7 @@ CALIBRATOR = Table(
         row('twin', 'twin',
             'Twin to calibrate, relative to the namespace of the calibrator unless it begins with '
             '/', kind='the name of a node', pattern=NAME),
-        row('rig', '',
-            'Node `rig` that receives the recommended layer; empty to keep the layer',
+        row('rig', '', 'Node `rig` that receives the recommended layer; empty to keep the layer',
             kind='the name of a node, or empty', pattern=f'|{NAME}'),
         row('throws', 3,
             'Throws in a row beyond `measured.residual_threshold` of the twin, or too noisy for '

@@ -3,10 +3,9 @@
 """
 Tables of parameters: names, defaults, ranges and meanings, for nodes, files and the docs.
 
-Settings are a value for every parameter of a table, results left out. A request is a handful of
-parameters to be set at once. Any single change within its range is accepted, since ROS sets a
-list one by one; a request is a row of single changes in the order of the table, so that the later
-of two values that contradict each other wins.
+Settings are a value for every parameter of a table, results left out. Any single change within
+its range is accepted, since ROS sets a list one by one; a request is a row of single changes in
+the order of the table, so that the later of two values that contradict each other wins.
 """
 
 from __future__ import annotations
@@ -27,9 +26,7 @@ Settings: TypeAlias = Mapping[str, Any]
 NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
 """Names of nodes, topics and namespaces in ROS."""
 
-MAX_TEXT = 16_384
-"""Length of a text [characters]: a path has at most 4096, a stack fewer than this."""
-
+_MAX_TEXT = 16_384  # length of a text; a path has at most 4096 characters, a stack fewer than this
 _QUOTED = reprlib.Repr()
 _QUOTED.maxstring = _QUOTED.maxother = 80  # a line of a terminal [characters]
 
@@ -42,7 +39,7 @@ class ParameterError(ValueError):
         self.names = names
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Entry:
     """One row of the table."""
 
@@ -115,7 +112,7 @@ class Entry:
         """Convert a value, or one of a list, to the type of `default`."""
         if isinstance(default, bool) or isinstance(value, bool):
             return value if isinstance(value, bool) and isinstance(default, bool) else None
-        if isinstance(value, str) and (len(value) > MAX_TEXT or '\0' in value):
+        if isinstance(value, str) and (len(value) > _MAX_TEXT or '\0' in value):
             return None
         if isinstance(default, str):
             if not isinstance(value, str) or not re.fullmatch(self.pattern, value, re.DOTALL):
@@ -132,10 +129,13 @@ class Entry:
         """Return `value` as `convert` does; raise ParameterError if the rule does not allow it."""
         converted = None if self.is_result else self.convert(value)
         if converted is None:
-            is_long = isinstance(value, str) and len(value) > MAX_TEXT
-            rule = f'at most {MAX_TEXT} characters long' if is_long else self.rule
+            is_long = isinstance(value, str) and len(value) > _MAX_TEXT
+            rule = f'at most {_MAX_TEXT} characters long' if is_long else self.rule
             raise ParameterError(f'{self.name} must be {rule}, got {quote(value)}', self.name)
         return converted
+
+
+row = Entry  # a table reads in columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,10 +145,7 @@ class Table:
     node: str
     entries: tuple[Entry, ...]  # in the order of the documentation
     imply: Callable[[Settings, str, Any], Settings] = lambda _settings, _name, _value: {}
-    """
-    Returns the changes that the change of one value implies, or raises ParameterError; the
-    arguments are the complete settings before the change, the name and the new value.
-    """
+    """Return the changes of complete settings that a new value of a name implies, or refuse it."""
 
     @cached_property
     def by_name(self) -> Mapping[str, Entry]:
@@ -173,22 +170,15 @@ class Table:
         """
         Return the new values of a request to complete settings, including implied values.
 
-        The values are set one by one in the order of the table. ParameterError is raised if a
-        value is refused by `check_value` or `imply`.
+        The values are set in the order of the table. ParameterError is raised if one is refused.
         """
         checked = {name: self.check_value(name, value) for name, value in request.items()}
         changes: dict[str, Value] = {}
-        for name in self.by_name:
-            if name in checked:
-                implied = self.imply({**settings, **changes}, name, checked[name])
-                changes[name] = checked[name]
-                changes |= {key: value for key, value in implied.items() if key in self.by_name}
+        for name in filter(checked.__contains__, self.by_name):
+            implied = self.imply({**settings, **changes}, name, checked[name])
+            changes[name] = checked[name]
+            changes |= {key: value for key, value in implied.items() if key in self.by_name}
         return changes
-
-
-def row(name: str, default: Value, meaning: str, **fields: Any) -> Entry:
-    """Make an entry, so that a table can be read in columns."""
-    return Entry(name=name, default=default, meaning=meaning, **fields)
 
 
 def float_of(text: str) -> float | None:
@@ -218,15 +208,5 @@ def value_text(value: Value) -> str:
 
 
 def quote(value: object) -> str:
-    """
-    Quote a value in a refusal, shortened to some 80 characters.
-
-    Examples
-    --------
-    >>> quote('8e-3 gelatin')
-    "'8e-3 gelatin'"
-    >>> quote([0.01] * 1_000_000)
-    '[0.01, 0.01, 0.01, 0.01, 0.01, 0.01, ...]'
-
-    """
+    """Quote a value in a refusal, shortened to some 80 characters or six items."""
     return _QUOTED.repr(list(value) if isinstance(value, (array, tuple)) else value)

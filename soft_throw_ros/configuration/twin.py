@@ -33,11 +33,9 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 _INSTALLED = library()
 
 _RIG = Rig()
+# Parameters that the name of a layer may set, and the library that has the name
 _NAMED = (*STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
-"""Parameters that the name of a layer may set, and the library that has the name."""
-
-_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')
-"""Targets of an aim, of which one is 0."""
+_TARGETS = ('recommendation.target_height', 'recommendation.target_speed')  # of which one is 0
 
 JOINT_ROWS = tuple(
     row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
@@ -77,8 +75,7 @@ _ENTRIES = (
     row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
         unit='s', low=0.0, high=1e-3),
     row('measured.residual_threshold', 1e-4,
-        'Rms residual beyond which the model is reported as wrong',
-        unit='m', low=1e-7, high=1.0),
+        'Rms residual beyond which the model is reported as wrong', unit='m', low=1e-7, high=1.0),
     row('layer.library', '',
         'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
@@ -105,15 +102,12 @@ _ENTRIES = (
         choices=LOSSES),
     row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
         unit='kg', low=1e-5, high=1.0),
-    row('projectile.length', _RIG.projectile.length,
-        'Length L_r of the projectile, for pictures',
+    row('projectile.length', _RIG.projectile.length, 'Length L_r of the projectile, for pictures',
         unit='m', low=1e-4, high=0.5),
     row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         unit='s', low=0.05, high=3600.0, or_zero=True),
-    row('throw.max_events', 20,
-        'Contacts after which a throw is over',
-        low=1, high=1000),
+    row('throw.max_events', 20, 'Contacts after which a throw is over', low=1, high=1000),
     row('rate.state', 1000.0, 'Rate of `~/joint_states`', unit='Hz', low=10.0, high=5000.0),
     row('rate.field', 50.0, 'Rate of `~/layer/joint_states`, at most rate.state',
         unit='Hz', low=0.1, high=1000.0),
@@ -127,8 +121,7 @@ _ENTRIES = (
         unit='m', low=0.0, high=0.05),
     row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise',
         low=0.0, high=0.9),
-    row('uncertainty.frequency', 0.1,
-        'Largest error of the frequency, also of a measured plate',
+    row('uncertainty.frequency', 0.1, 'Largest error of the frequency, also of a measured plate',
         unit='Hz', low=0.0, high=500.0),
     row('uncertainty.damping_ratio', 0.003, 'Largest error of the damping ratio, likewise',
         low=0.0, high=0.5),
@@ -161,8 +154,7 @@ _ENTRIES = (
         unit='kg', low=1e-5, high=1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
         unit='Hz', low=1.0, high=1000.0, max_length=16),
-    row('recommendation.target_height', 0.1,
-        'Rise of the projectile to aim at; 0 aims at a speed',
+    row('recommendation.target_height', 0.1, 'Rise of the projectile to aim at; 0 aims at a speed',
         unit='m', low=1e-4, high=1000.0, or_zero=True),
     row('recommendation.target_speed', 0.0,
         'Speed of the last release to aim at; 0 aims at a height',
@@ -184,8 +176,7 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     Return the changes that the change of one value implies, see `Table.imply`.
 
     A named layer and a stack have values of their own; another value of the layer makes it
-    `custom`, and ends a stack. A file of a motion, which is read, moves the plate. Damping ends a
-    harmonic motion. One target replaces the other.
+    `custom`, and ends a stack. A file of a motion moves the plate; damping ends a harmonic one.
     """
     after = {**settings, name: value}
     if name == 'layer.name' and value != CUSTOM:
@@ -240,10 +231,9 @@ def joint_names(settings: Settings) -> tuple[str, str]:
     """Return the names of plate and projectile; raise ParameterError if they are the same."""
     plate, projectile = (settings[entry.name] for entry in JOINT_ROWS)
     if plate == projectile:
-        raise ParameterError(
-            f'joint_names.projectile must differ from joint_names.plate, got {quote(plate)}',
-            'joint_names.projectile',
-        )
+        name = 'joint_names.projectile'
+        rule = f'must differ from joint_names.plate, got {quote(plate)}'
+        raise ParameterError(f'{name} {rule}', name)
     return plate, projectile
 
 
@@ -276,10 +266,8 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     if kind == 'underdamped' or (kind == 'measured' and not path):
         return engine
     if not path:
-        raise ParameterError(
-            f"engine.motion 'file' needs {motions.PARAMETER} (--motion-file), got ''",
-            motions.PARAMETER,
-        )
+        rule = f"needs {motions.PARAMETER} (--motion-file), got ''"
+        raise ParameterError(f"engine.motion 'file' {rule}", motions.PARAMETER)
     return replace(engine, motion=motion_of(path))
 
 

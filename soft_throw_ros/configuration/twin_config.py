@@ -104,11 +104,6 @@ class TwinConfig:
             return None
         return float(min(lead, 0.25 * self.throw_period) if self.throw_period else lead)
 
-    @property
-    def max_strain(self) -> float:
-        """Strain where the linear range of the layer ends [-]."""
-        return self.rig.layer.linear_range
-
     @cached_property
     def measurement(self) -> MeasurementConfig:
         """Configuration of a measured plate."""

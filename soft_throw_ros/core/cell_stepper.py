@@ -58,7 +58,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, reduction, subroutine
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
 from soft_throw_ros.core.material import (
     LARGEST_STRAIN,
     relaxation,
@@ -86,48 +86,17 @@ _CELLS = 64
 _NEO_HOOKEAN_CELLS = 1.5
 """Cells of a neo-Hookean layer over those of a linear one in `throw_batch`, for 2e-4. [-]"""
 
-_CELLS_PER_RELAXATION = 12.0
-"""Cells per relaxation time, over the crossing time, for 1e-4 in the speed. [-]"""
+_CELLS_PER_RELAXATION, _STEPS_PER_PERIOD = 12.0, 120.0
+"""Cells per relaxation time, over the crossing time, and steps per plate period for 1e-4. [-]"""
 
-_MIN_CELLS_PER_RELAXATION = 4.0
+_MIN_CELLS_PER_RELAXATION, _MIN_STEPS_PER_PERIOD = 4.0, 80.0
 """The same for 1e-3, below which a rig is refused in real time. [-]"""
-
-_STEPS_PER_PERIOD = 120.0
-"""Steps per period of the plate, for 1e-4. [-]"""
-
-_MIN_STEPS_PER_PERIOD = 80.0
-"""Steps per period of the plate below which a rig is refused in real time. [-]"""
 
 _MAX_BATCH_CELLS = 2048
 """Most cells that `throw_batch` chooses. [-]"""
 
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
-
-_BODY = np.dtype(
-    [
-        ('count', 'i8'),  # number of cells
-        ('thickness', 'f8'),  # [m]
-        ('mass', 'f8'),  # [kg]
-        ('stiffness', 'f8'),  # at the plate's frequency [N/m]
-        ('lag', 'f8'),  # viscosity over stiffness [s]
-        ('max_compression', 'f8'),  # of a neo-Hookean body, 0 for a linear one [-]
-        ('relaxed', 'f8'),  # share of the spring in the stiffness [-]
-        ('tangent', 'f8'),  # largest stiffness of any state over the stiffness [-]
-        ('maxwell', 'f8', (3,)),  # shares of the Maxwell elements in the stiffness [-]
-    ]
-)
-"""A sheet, to be cut into cells of one kind."""
-
-_POINT = np.dtype(
-    [
-        ('cell', 'i8'),  # at the height
-        ('neighbour', 'i8'),  # of this cell in its sheet, or the cell itself if it has none
-        ('weight', 'f8'),  # of the neighbour for quantities in the middle of cells [-]
-        ('fraction', 'f8'),  # of the cell below the height [-]
-    ]
-)
-"""A height at which the layer is read."""
 
 _ROUNDING = 1e-9
 """Relative rounding error of a crossing time. [-]"""
@@ -149,51 +118,49 @@ class Row(NamedTuple):
     Rows of the table of nodes and links, a column for each; the last link does not exist.
 
     Of two rows, one is for even and one for odd steps, or one for flight and one for contact; of
-    three, each is for a Maxwell element.
+    three, each is for a Maxwell element. The first eleven are constant in a sheet.
     """
 
-    displacement: int = 0  # of a node, from rest [m]
-    velocity: int = 1  # of a node, half a step earlier [m/s]
-    mean_velocity: int = 2  # at the whole step, at even and odd steps [m/s]
-    tension: int = 4  # elastic tension of a link, from rest, at even and odd steps [N]
-    previous_stretch: int = 6  # of a link, a step ago [m]
-    maxwell_stretch: int = 7  # of the springs of the Maxwell elements [m]
-    mass: int = 10  # of a node [kg]
-    stiffness: int = 11  # of a linear link [N/m]
-    third_modulus: int = 12  # third of E S, of a neo-Hookean link [N]
-    min_stretch: int = 13  # smallest stretch ratio with the neo-Hookean law [-]
+    stiffness: int = 0  # of a linear link [N/m]
+    third_modulus: int = 1  # third of E S, of a neo-Hookean link [N]
+    min_stretch: int = 2  # smallest stretch ratio with the neo-Hookean law [-]
+    shock_viscosity: int = 3  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 4  # of the Maxwell elements [N/m]
+    viscosity: int = 7  # of a link, in flight and in contact [N s/m]
+    implicit_stiffness: int = 9  # of a cell that is too fast for the step [kg]
+    inverse_length: int = 10  # of a cell, 0 for the contact [1/m]
+    mass: int = 11  # of a node [kg]
+    rest_height: int = 12  # of a node of the layer [m]
+    static_strain: int = 13  # compression of a cell at rest [-]
     constant_tension: int = 14  # of a neo-Hookean link [N]
-    shock_viscosity: int = 15  # artificial, over a square of a velocity [N s2/m2]
-    maxwell_stiffness: int = 16  # of the Maxwell elements [N/m]
-    viscosity: int = 19  # of a link, in flight and in contact [N s/m]
-    coupling: int = 21  # share of a link in the matrix of masses, in flight and in contact [kg]
-    elimination_factor: int = 23  # of a link: momentum that the upper node gets [-]
-    inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
+    displacement: int = 15  # of a node, from rest [m]
+    velocity: int = 16  # of a node, half a step earlier [m/s]
+    mean_velocity: int = 17  # at the whole step, at even and odd steps [m/s]
+    tension: int = 19  # elastic tension of a link, from rest, at even and odd steps [N]
+    previous_stretch: int = 21  # of a link, a step ago [m]
+    maxwell_stretch: int = 22  # of the springs of the Maxwell elements [m]
+    elimination_factor: int = 25  # of a link: momentum that the upper node gets [-]
+    inverse_pivot: int = 26  # velocity over momentum of an eliminated node [1/kg]
     momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
-    impulse_factor: int = 29  # half a step, over the mass if it is not coupled [s]
-    inverse_length: int = 31  # of a cell, 0 for the contact [1/m]
-    rest_height: int = 32  # of a node of the layer [m]
-    static_strain: int = 33  # compression of a cell at rest [-]
-    peak_strain: int = 34  # largest magnitude of the strain of a cell [-]
-    implicit_stiffness: int = 35  # of a cell that is too fast for the step [kg]
-    position: int = 36  # displacement at the requested time [m]
-    speed: int = 37  # velocity at the requested time [m/s]
-    force: int = 38  # force through a cell at the requested time, positive in compression [N]
+    impulse_factor: int = 28  # half a step, over the mass if it is not coupled [s]
+    peak_strain: int = 29  # largest magnitude of the strain of a cell [-]
+    position: int = 30  # displacement at the requested time [m]
+    speed: int = 31  # velocity at the requested time [m/s]
+    force: int = 32  # force through a cell at the requested time, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-_ROW_COUNT = 39
+_ROW_COUNT = 33
 
-# A pair of values is in flight and in contact, or at the plate and at the top of the layer.
 RECORD = np.dtype(
     [
         # constants
         ('step', 'f8'),  # [s]
         ('rate', 'f8'),  # 2 / step [1/s]
         ('cells', 'i8'),  # number of cells, and of the link that is the contact
-        ('is_curved', '?'),  # a sheet is neo-Hookean
+        ('is_curved', '?'),  # the sheets are neo-Hookean
         ('has_maxwell', '?'),
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
@@ -202,167 +169,27 @@ RECORD = np.dtype(
         ('mass', 'f8'),  # of the projectile [kg]
         ('gravity', 'f8'),  # [m/s2]
         ('release_threshold', 'f8'),  # contact force below which the projectile leaves [N]
-        ('edge_cells', 'i8', (2, 2)),  # cells that extrapolate the strain to plate and top
-        ('edge_weights', 'f8', (2,)),
+        ('edge_cells', 'i8', (2, 2)),  # those that extrapolate the strain to plate and top
         ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
         ('collision_mass', 'f8'),  # of these nodes [kg]
-        # the linear system of the mean velocities, see `_factorise`
-        ('first', 'i8', (2,)),  # first and last of the nodes that are coupled
-        ('end', 'i8', (2,)),
-        ('first_stiff', 'i8'),  # first and last link that is too fast for the step
-        ('last_stiff', 'i8'),
+        ('stiff', 'i8', (2,)),  # first and last cell that is too fast for the step
         *stepper.COMMON,
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
         ('index', 'i8'),  # of the step
         ('fraction', 'f8'),  # of the step that has passed
-        ('force', 'f8'),  # in the contact: now, and at the three steps before [N]
-        ('force_1', 'f8'),
-        ('force_2', 'f8'),
-        ('force_3', 'f8'),
+        ('coupled', 'i8', (2,)),  # first and last node of the linear system, see `_factorise`
+        ('contact_forces', 'f8', (4,)),  # now, and at the three steps before [N]
         ('known_forces', 'i8'),  # number of forces since the present contact began
-        ('below_before', 'f8'),  # displacements of the contact's nodes a step ago [m]
-        ('above_before', 'f8'),
-        # forces of the layer on plate and projectile: a step ago, before and after an event [N]
-        ('on_plate_before', 'f8'),
-        ('on_plate_until', 'f8'),
-        ('on_plate_now', 'f8'),
-        ('on_projectile_before', 'f8'),
-        ('on_projectile_until', 'f8'),
-        ('on_projectile_now', 'f8'),
+        ('contact_before', 'f8', (2,)),  # displacements of the contact's nodes a step ago [m]
+        # of the layer on plate and projectile: a step ago, before an event, and now [N]
+        ('forces', 'f8', (2, 3)),
         ('power', 'f8'),  # of the plate [W]
         ('work_before', 'f8'),  # of the plate, a step ago [J]
     ],
     align=True,
 )
 """State of a throw by cells."""
-
-
-@subroutine
-def _cut(s, nodes, bodies):
-    """Cut sheets into cells; the projectile is a point."""
-    first = 0
-    for n in range(bodies.size):
-        body = bodies[n]
-        mass, spring = body.mass / body.count, body.stiffness * body.count
-        inverse = body.count / body.thickness
-        s.is_curved = s.is_curved or body.max_compression > 0.0
-        s.has_maxwell = s.has_maxwell or body.relaxed < 1.0
-        implicit, tangent = 0.0, body.tangent * spring
-        if 0.0 < math.sqrt(mass / tangent) * (1.0 + _ROUNDING) < s.step:
-            implicit = _AVERAGE_ACCELERATION * s.step * s.step * tangent
-        for j in range(first, first + body.count):
-            nodes[ROW.mass, j] += 0.5 * mass
-            nodes[ROW.mass, j + 1] += 0.5 * mass
-            nodes[ROW.inverse_length, j] = inverse
-            if body.max_compression > 0.0:
-                nodes[ROW.third_modulus, j] = body.relaxed * spring / inverse / 3.0
-                nodes[ROW.min_stretch, j] = 1.0 - body.max_compression
-                nodes[ROW.shock_viscosity, j] = mass * inverse  # von Neumann and Richtmyer
-            else:
-                nodes[ROW.stiffness, j] = body.relaxed * spring
-            for element in range(3):
-                nodes[ROW.maxwell_stiffness + element, j] = body.maxwell[element] * spring
-            nodes[ROW.viscosity, j] = nodes[ROW.viscosity + 1, j] = body.lag * spring
-            nodes[ROW.implicit_stiffness, j] = implicit
-        first += body.count
-    nodes[ROW.mass, s.cells + 1] = s.mass
-
-
-@subroutine
-def _factorise(s, nodes, case):
-    """Compute the factors of the matrix in flight (0) or in contact (1), see `_solve`."""
-    step, rigid = s.step, s.cells if case == 1 else -1
-    last = nodes.shape[1] - 1
-    mass, coupling = nodes[ROW.mass], nodes[ROW.coupling + case]
-    low, high = last, -1
-    s.first_stiff, s.last_stiff = last, -1
-    for j in range(last):
-        if nodes[ROW.implicit_stiffness, j] > 0.0:
-            s.first_stiff, s.last_stiff = min(s.first_stiff, j), j
-        viscous = 0.5 * step * nodes[ROW.viscosity + case, j]
-        coupling[j] = nodes[ROW.implicit_stiffness, j] + viscous
-        if coupling[j] > 0.0 or j == rigid:
-            low, high = min(low, j), max(high, j)
-    first, end = max(low, 1), high + 1  # the motion of node 0 is given
-    for j in range(1, last + 1):
-        is_coupled = first <= j <= end
-        nodes[ROW.momentum_factor + case, j] = mass[j] if is_coupled else 1.0
-        nodes[ROW.impulse_factor + case, j] = 0.5 * step / (1.0 if is_coupled else mass[j])
-    s.first[case], s.end[case] = first, end
-    factor, pivots = nodes[ROW.elimination_factor + case], nodes[ROW.inverse_pivot + case]
-    added = coupling[first - 1]
-    for j in range(first, end + 1):
-        pivot = mass[j] + added
-        if j == rigid:  # the projectile gets all of the momentum, and has the same velocity
-            factor[j], pivots[j], added = 1.0, 0.0, pivot
-        else:
-            pivots[j] = 1.0 / (pivot + coupling[j])
-            factor[j] = coupling[j] * pivots[j]
-            added = factor[j] * pivot
-
-
-@inlined
-def _across(nodes, row, j):
-    """Return the difference of a row between the ends of link j."""
-    return nodes[row, j + 1] - nodes[row, j]
-
-
-@inlined
-def _substitute(nodes, x, case, first, end):
-    """Solve for row x by Thomas's algorithm."""
-    factor, pivot = ROW.elimination_factor + case, ROW.inverse_pivot + case
-    value = 0.0
-    for j in range(first, end + 1):
-        value = nodes[x, j] = nodes[x, j] + nodes[factor, j - 1] * value
-    value = 0.0
-    for j in range(end, first - 1, -1):
-        value = nodes[x, j] = nodes[pivot, j] * nodes[x, j] + nodes[factor, j] * value
-
-
-@inlined
-def _solve(s, nodes):
-    """
-    Compute the mean velocities w of all nodes above the plate.
-
-    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
-    matrix B of implicit cells.
-    """
-    now, case = s.index & 1, 1 if s.contact else 0
-    w, tension = ROW.mean_velocity + now, ROW.tension + now
-    momentum_factor, impulse_factor = ROW.momentum_factor + case, ROW.impulse_factor + case
-    first, end = s.first[case], s.end[case]
-    for j in range(1, nodes.shape[1]):
-        force = nodes[tension, j] - nodes[tension, j - 1]
-        start = nodes[momentum_factor, j] * nodes[ROW.velocity, j]
-        nodes[w, j] = start + nodes[impulse_factor, j] * force
-    if end < first:
-        return
-    for j in range(s.first_stiff, s.last_stiff + 1):
-        momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
-        nodes[w, j + 1] += momentum
-        if j > 0:
-            nodes[w, j] -= momentum
-    nodes[w, first] += nodes[ROW.coupling + case, first - 1] * nodes[w, first - 1]
-    _substitute(nodes, w, case, first, end)
-
-
-@subroutine
-def _prepare_contact(s, nodes):
-    """Prepare the free top, the equations of flight and contact, and the nodes of a landing."""
-    top = s.cells
-    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
-    nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
-    _factorise(s, nodes, 0)
-    _factorise(s, nodes, 1)
-    s.contact = True
-    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
-    # such cells part meet as one.
-    s.collision_node = top
-    while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
-        s.collision_node -= 1
-    for j in range(s.collision_node, top + 1):
-        s.collision_mass += nodes[ROW.mass, j]
 
 
 @inlined
@@ -374,54 +201,137 @@ def _neo_hookean_stress(ratio, min_stretch):
 
 
 @subroutine
-def _prepare_rest(s, nodes):
-    """Compute strains and heights at rest: each cell carries the weight of the projectile."""
-    top, carried = s.cells, s.mass * s.gravity
-    for j in range(top):
-        inverse, modulus = nodes[ROW.inverse_length, j], nodes[ROW.third_modulus, j]
+def _cut(s, nodes, counts, sheets):
+    """Cut sheets into cells, at rest under the weight of the projectile."""
+    weight, tension = s.mass * s.gravity, 0.0
+    s.stiff[0], s.stiff[1] = nodes.shape[1], -1
+    for n in range(counts.size):
+        sheet, first = sheets[n], s.cells
+        modulus, inverse = sheet[ROW.third_modulus], sheet[ROW.inverse_length]
         if modulus > 0.0:
-            ratio = _static_stretch(carried / modulus)
-            nodes[ROW.static_strain, j] = 1.0 - ratio
-            nodes[ROW.constant_tension, j] = -modulus * _neo_hookean_stress(ratio, 0.0)
+            ratio = _static_stretch(weight / modulus)
+            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio, 0.0)
+            s.is_curved = True
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
         else:
-            nodes[ROW.static_strain, j] = carried / nodes[ROW.stiffness, j] * inverse
-        length = (1.0 - nodes[ROW.static_strain, j]) / nodes[ROW.inverse_length, j]
-        nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + length
-    s.rest_height = nodes[ROW.rest_height, top]
-    nodes[ROW.peak_strain] = nodes[ROW.static_strain]
-    s.loads[2] = s.force = carried
-    s.known_forces = 1
-    s.on_projectile_before = s.on_projectile_until = s.on_projectile_now = carried
-    s.on_plate_before = s.on_plate_until = s.on_plate_now = -carried
+            strain = weight / sheet[ROW.stiffness] * inverse
+        s.cells += counts[n]
+        for j in range(first, s.cells):
+            for row in range(ROW.mass):
+                nodes[row, j] = sheet[row]
+            nodes[ROW.mass, j] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.mass, j + 1] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.static_strain, j] = nodes[ROW.peak_strain, j] = strain
+            nodes[ROW.constant_tension, j] = tension
+            nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + (1.0 - strain) / inverse
+        for element in range(3):
+            s.has_maxwell = s.has_maxwell or sheet[ROW.maxwell_stiffness + element] > 0.0
+        if sheet[ROW.implicit_stiffness] > 0.0:
+            s.stiff[0], s.stiff[1] = min(s.stiff[0], first), s.cells - 1
+    for end in range(2):
+        edge = end * (s.cells - 1)
+        is_alone = counts[end * (counts.size - 1)] == 1
+        s.edge_cells[end, 0] = edge
+        s.edge_cells[end, 1] = edge if is_alone else edge + 1 - 2 * end
+
+
+@subroutine
+def _factorise(s, nodes):
+    """Compute the factors of the matrix, in flight or in contact, see `_solve`."""
+    last, half = s.cells + 1, 0.5 * s.step
+    case, rigid = (1, s.cells) if s.contact else (0, -1)
+    mass, factor = nodes[ROW.mass], nodes[ROW.elimination_factor]
+    low, high = last, -1
+    for j in range(last):  # first the share of a link in the matrix
+        factor[j] = nodes[ROW.implicit_stiffness, j] + half * nodes[ROW.viscosity + case, j]
+        if factor[j] > 0.0 or j == rigid:
+            low, high = min(low, j), max(high, j)
+    first, end = max(low, 1), high + 1  # the motion of node 0 is given
+    s.coupled[0], s.coupled[1] = first, end
+    for j in range(1, last + 1):
+        is_coupled = first <= j <= end
+        nodes[ROW.momentum_factor, j] = mass[j] if is_coupled else 1.0
+        nodes[ROW.impulse_factor, j] = half / (1.0 if is_coupled else mass[j])
+    added = factor[first - 1]
+    for j in range(first, end + 1):
+        pivot = mass[j] + added
+        if j == rigid:  # the projectile gets all of the momentum, and has the same velocity
+            factor[j], nodes[ROW.inverse_pivot, j], added = 1.0, 0.0, pivot
+        else:
+            nodes[ROW.inverse_pivot, j] = 1.0 / (pivot + factor[j])
+            factor[j] *= nodes[ROW.inverse_pivot, j]
+            added = factor[j] * pivot
+
+
+@inlined
+def _across(nodes, row, j):
+    """Return the difference of a row between the ends of link j."""
+    return nodes[row, j + 1] - nodes[row, j]
+
+
+@inlined
+def _solve(s, nodes):
+    """
+    Compute the mean velocities w of all nodes above the plate.
+
+    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
+    matrix B of implicit cells, by Thomas's algorithm.
+    """
+    w, tension = ROW.mean_velocity + (s.index & 1), ROW.tension + (s.index & 1)
+    first, end = s.coupled[0], s.coupled[1]
+    for j in range(1, nodes.shape[1]):
+        force = nodes[tension, j] - nodes[tension, j - 1]
+        start = nodes[ROW.momentum_factor, j] * nodes[ROW.velocity, j]
+        nodes[w, j] = start + nodes[ROW.impulse_factor, j] * force
+    if end < first:
+        return
+    for j in range(s.stiff[0], s.stiff[1] + 1):
+        momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
+        nodes[w, j + 1] += momentum
+        if j > 0:
+            nodes[w, j] -= momentum
+    value = nodes[w, first - 1]
+    for j in range(first, end + 1):
+        value = nodes[w, j] = nodes[w, j] + nodes[ROW.elimination_factor, j - 1] * value
+    value = 0.0
+    for j in range(end, first - 1, -1):
+        value *= nodes[ROW.elimination_factor, j]
+        value = nodes[w, j] = nodes[ROW.inverse_pivot, j] * nodes[w, j] + value
 
 
 @kernel
 def _prepare(
-    core: Any, nodes: Any, bodies: Any, step: float, mass: float, gravity: float, omega: float,
-    peak_force: float,
+    core: Any, nodes: Any, counts: Any, sheets: Any, step: float, mass: float, gravity: float,
+    omega: float, peak_force: float,
 ) -> None:
-    """Complete the third record, which has the plate's motion already, and cut the bodies."""
+    """Complete the third record but for the plate's motion, and cut the sheets."""
     s = core[2]
     s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
     s.release_threshold = -_FORCE_NOISE * peak_force
-    for n in range(bodies.size):
-        s.cells += bodies[n].count
-    for end in range(2):
-        edge = s.cells - 1 if end == 1 else 0
-        s.edge_cells[end, 0] = s.edge_cells[end, 1] = edge
-        if bodies[bodies.size - 1 if end == 1 else 0].count > 1:
-            s.edge_cells[end, 1] = edge + (1 - 2 * end)
-            s.edge_weights[end] = -0.5
     s.event_time = s.fastest_shock = math.inf
+    s.contact = True
     for element in range(3):
         s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
         half = 0.5 * step * s.maxwell_rates[element]
         s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
         s.maxwell_gain[element] = 1.0 / (1.0 + half)
-    _cut(s, nodes, bodies)
-    _prepare_contact(s, nodes)
-    _prepare_rest(s, nodes)
+    _cut(s, nodes, counts, sheets)
+    top = s.collision_node = s.cells
+    nodes[ROW.mass, top + 1] = mass
+    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
+    nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
+    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
+    # such cells part meet as one.
+    while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
+        s.collision_node -= 1
+    for j in range(s.collision_node, top + 1):
+        s.collision_mass += nodes[ROW.mass, j]
+    _factorise(s, nodes)
+    s.rest_height = nodes[ROW.rest_height, top]
+    s.loads[2] = s.contact_forces[0] = mass * gravity
+    s.known_forces = 1
+    for k in range(3):
+        s.forces[0, k], s.forces[1, k] = -mass * gravity, mass * gravity
 
 
 @inlined
@@ -438,7 +348,7 @@ def _elastic_tension(s, nodes):
         _update_maxwell(s, nodes)
 
 
-@reduction
+@inlined
 def _neo_hookean_tension(s, nodes):
     """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
     now, fastest = s.index & 1, -s.fastest_shock
@@ -452,7 +362,7 @@ def _neo_hookean_tension(s, nodes):
         nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
 
 
-@reduction
+@inlined
 def _update_maxwell(s, nodes):
     """Add the tension of the Maxwell elements, by the trapezoidal rule."""
     now = s.index & 1
@@ -491,14 +401,15 @@ def _contact_forces(s, nodes):
     """Compute the forces of the layer on plate and projectile."""
     now, j, case = s.index & 1, s.cells + 1, 1 if s.contact else 0
     weight = s.mass * s.gravity
-    s.on_projectile_now = 0.0
+    s.forces[1, 2] = 0.0
     if s.contact:
-        s.force_3, s.force_2, s.force_1 = s.force_2, s.force_1, s.force
+        for k in range(3, 0, -1):
+            s.contact_forces[k] = s.contact_forces[k - 1]
         change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
-        s.force = s.on_projectile_now = weight + s.mass * s.rate * change
+        s.contact_forces[0] = s.forces[1, 2] = weight + s.mass * s.rate * change
         s.known_forces += 1
     inertia = nodes[ROW.mass, 0] * s.plate_acceleration
-    s.on_plate_now = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
+    s.forces[0, 2] = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
 
 
 @subroutine
@@ -518,7 +429,8 @@ def _first_root(a, b, c, d):
 @subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
-    after, before, earlier, first = s.force, s.force_1, s.force_2, s.force_3
+    forces = s.contact_forces
+    after, before, earlier, first = forces[0], forces[1], forces[2], forces[3]
     if s.known_forces < 4:  # so short after a landing it is a line
         earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
     third = (after - first + 3.0 * (earlier - before)) / 6.0
@@ -531,10 +443,9 @@ def _handle_release(s, nodes, events):
     impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
     impulse -= (after - before) / 24.0
     velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
-    if s.events == 0:
-        _find_largest_strain(s, nodes)
     height, _ = _motion(s, nodes, s.cells + 1, t)
     stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
+    _factorise(s, nodes)
 
 
 @subroutine
@@ -543,7 +454,7 @@ def _handle_landing(s, nodes, events):
     j, projectile_node = s.cells, s.cells + 1
     u, v = nodes[ROW.displacement], nodes[ROW.velocity]
     before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
-    gap, closed = s.above_before - s.below_before, u[j + 1] - u[j]
+    gap, closed = s.contact_before[1] - s.contact_before[0], u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
     t = _first_root(gap, closed - gap - bend, bend, 0.0)
     speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
@@ -558,6 +469,7 @@ def _handle_landing(s, nodes, events):
     v[projectile_node] += below_share * approach
     s.known_forces = 0
     stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
+    _factorise(s, nodes)
 
 
 @inlined
@@ -566,43 +478,40 @@ def _march(s, nodes, path, events, goal):
     step, link = s.step, s.cells
     while s.index < goal and s.events <= events.shape[0]:
         before, now = s.index & 1, 1 - (s.index & 1)
-        s.below_before = nodes[ROW.displacement, link]
-        s.above_before = nodes[ROW.displacement, link + 1]
+        for k in range(2):
+            s.contact_before[k] = nodes[ROW.displacement, link + k]
         for j in range(nodes.shape[1]):
             velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
             nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
             nodes[ROW.displacement, j] += step * velocity  # u^{n+1} = u^n + h v^{n+1/2}
         s.index += 1
         s.event_time = math.inf
-        s.on_plate_before, s.on_projectile_before = s.on_plate_now, s.on_projectile_now
+        for end in range(2):
+            s.forces[end, 0] = s.forces[end, 1] = s.forces[end, 2]
         s.work_before = s.work
         height, speed, s.plate_acceleration = motion_at(s, path, s.index * step)
         nodes[ROW.displacement, 0], nodes[ROW.mean_velocity + now, 0] = height, speed
         nodes[ROW.velocity, 0] = speed - 0.5 * step * s.plate_acceleration
         gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
-        lands = not s.contact and gap < 0.0
-        if lands:
+        if not s.contact and gap < 0.0:
             _handle_landing(s, nodes, events)
         _elastic_tension(s, nodes)
-        leaves = False
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
                 nodes[ROW.tension + now, link] = s.mass * s.gravity
             _solve(s, nodes)
             _contact_forces(s, nodes)
-            if leaves:
+            if s.event_time < math.inf:
                 break
-            s.on_plate_until = s.on_plate_before if lands else s.on_plate_now
-            s.on_projectile_until = s.on_projectile_before if lands else s.on_projectile_now
-            leaves = s.contact and not lands and s.force < s.release_threshold
-            if not leaves:
+            s.forces[0, 1], s.forces[1, 1] = s.forces[0, 2], s.forces[1, 2]
+            if not (s.contact and s.contact_forces[0] < s.release_threshold):
                 break
             _handle_release(s, nodes, events)  # and compute the step again, in flight
         if s.events == 0:
             _compare_loads(s, nodes)
         elif s.events > 1 or s.event_time == math.inf:
             continue
-        power = -s.on_plate_now * nodes[ROW.mean_velocity + (s.index & 1), 0]
+        power = -s.forces[0, 2] * nodes[ROW.mean_velocity + now, 0]
         duration = min(s.index * step, s.event_time) - (s.index - 1) * step
         s.work += duration * (s.power + 0.5 * duration / step * (power - s.power))
         s.power = power
@@ -624,17 +533,10 @@ def _compare_loads(s, nodes):
     for end in range(2):
         strain = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 0])
         inner = _strain_of(nodes, ROW.displacement, s.edge_cells[end, 1])
-        strain += s.edge_weights[end] * (inner - strain)
+        strain -= 0.5 * (inner - strain)
         s.loads[0] = max(s.loads[0], abs(strain))
-    s.loads[1] = max(s.loads[1], s.on_projectile_now / s.mass - s.gravity)
-    s.loads[2] = max(s.loads[2], abs(s.on_plate_now))
-
-
-@subroutine
-def _find_largest_strain(s, nodes):
-    """Add the strains of all cells to those of both ends."""
-    for j in range(s.cells):
-        s.loads[0] = max(s.loads[0], nodes[ROW.peak_strain, j])
+    s.loads[1] = max(s.loads[1], s.forces[1, 2] / s.mass - s.gravity)
+    s.loads[2] = max(s.loads[2], abs(s.forces[0, 2]))
 
 
 @subroutine
@@ -648,7 +550,7 @@ def _motion(s, nodes, j, fraction):
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
     if j >= s.cells:  # which a landing may have moved
-        before = s.below_before if j == s.cells else s.above_before
+        before = s.contact_before[j - s.cells]
     bend = old * (2.0 - t) + new * (1.0 + t)
     height = before + t * (u - before) - step * t * (1.0 - t) * bend / 3.0
     turn = old * (2.0 * t - t * t - 2.0 / 3.0) + new * (t * t - 1.0 / 3.0)
@@ -668,37 +570,35 @@ def _advance(core, nodes, path, events, time):
     if goal * step > grid.horizon:
         return stepper.BEYOND_HORIZON
     _march(grid, nodes, path, events, goal)
-    if grid.events > events.shape[0]:
-        core[1] = core[0]
-        return stepper.TOO_MANY_EVENTS
-    if grid.events == 0:
-        _find_largest_strain(grid, nodes)
+    for j in range(grid.cells):  # the loads have those of both ends
+        grid.loads[0] = max(grid.loads[0], nodes[ROW.peak_strain, j])
     piece = s.piece
     core[1] = core[0]
+    if grid.events > events.shape[0]:
+        return stepper.TOO_MANY_EVENTS
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
     s.time = time
     s.fraction = 1.0
     if goal > 0:
         s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
-    on_plate, on_projectile, weight = s.on_plate_now, s.on_projectile_now, 1.0
+    later, weight = 2, 1.0
     if time < s.event_time:  # the event is still to come
         until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
         s.work = s.work_before + s.fraction / until * (s.work - s.work_before)
         if s.event_time < math.inf:
             s.contact = not s.contact
             s.events -= 1
-        on_plate, on_projectile, weight = s.on_plate_until, s.on_projectile_until, s.fraction
+        later, weight = 1, s.fraction
     state = s.state
     state[stepper.TIME] = time
     state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
     height, state[stepper.PROJECTILE_VELOCITY] = _motion(s, nodes, s.cells + 1, s.fraction)
     state[stepper.PROJECTILE_POSITION] = s.rest_height + height
     s.surface, _ = _motion(s, nodes, s.cells, s.fraction)
-    rise = on_plate - s.on_plate_before
-    state[stepper.PLATE_FORCE] = s.on_plate_before + weight * rise
-    rise = on_projectile - s.on_projectile_before
-    state[stepper.PROJECTILE_FORCE] = s.on_projectile_before + weight * rise
+    for end in range(2):
+        before = s.forces[end, 0]
+        state[stepper.PLATE_FORCE + end] = before + weight * (s.forces[end, later] - before)
     return s.events
 
 
@@ -719,23 +619,21 @@ def _move_nodes(s, nodes):
 
 @kernel
 def _read_layer(core, nodes, points, out):
-    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    """Read heights, velocities, forces and strains of the layer from plate to top."""
     s = core[1]
     _move_nodes(s, nodes)
     one = np.uintp(1)  # any other index is looked at whether it counts from the end
-    for n in range(points.size):
-        j, k = np.uintp(points[n].cell), np.uintp(points[n].neighbour)
-        fraction, weight = points[n].fraction, points[n].weight
+    for n in range(points.shape[1]):
+        j, k = np.uintp(points[0, n]), np.uintp(points[1, n])
+        fraction, weight = points[2, n], points[3, n]
         below = nodes[ROW.rest_height, j] + nodes[ROW.position, j]
         above = nodes[ROW.rest_height, j + one] + nodes[ROW.position, j + one]
         below_speed, above_speed = nodes[ROW.speed, j], nodes[ROW.speed, j + one]
         out[0, n] = below + fraction * (above - below)
         out[1, n] = below_speed + fraction * (above_speed - below_speed)
         out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
-        if out.shape[0] > 3:
-            strain = _strain_of(nodes, ROW.position, points[n].cell)
-            neighbour_strain = _strain_of(nodes, ROW.position, points[n].neighbour)
-            out[3, n] = strain + weight * (neighbour_strain - strain)
+        strain = _strain_of(nodes, ROW.position, int(j))
+        out[3, n] = strain + weight * (_strain_of(nodes, ROW.position, int(k)) - strain)
 
 
 @subroutine
@@ -776,16 +674,21 @@ def _stored_energy(core: Any, nodes: Any) -> float:
 
 _RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
 _advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
-_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, nb.from_dtype(_POINT)[::1], _ROWS)
+_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS, _ROWS)
 
 
-def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
-    """Return a `_POINT` for each of some even heights from plate to top of a cut layer."""
-    counts = bodies['count']
+def _reading_points(counts: NDArray[np.int64], lengths: Floats, number: int) -> Floats:
+    """
+    Return some even heights from plate to top, for sheets of some cells of some lengths.
+
+    The rows are the cell at the height, its neighbour (the cell itself if its sheet has no other
+    one), the fraction of the cell below the height, and the weight of the neighbour for quantities
+    in the middle of cells.
+    """
     sheets = np.repeat(np.arange(counts.size), counts)
-    lengths = (bodies['thickness'] / counts)[sheets]
+    lengths = lengths[sheets]
     bounds = np.append(0.0, np.cumsum(lengths))
-    heights = np.linspace(0.0, bounds[-1], count)
+    heights = np.linspace(0.0, bounds[-1], number)
     cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
     fraction = (heights - bounds[cell]) / lengths[cell]
     # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
@@ -794,23 +697,23 @@ def reading_points(bodies: NDArray[np.void], count: int) -> NDArray[np.void]:
     neighbour = cell
     for other in (cell - nearer, cell + nearer):
         neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
-    points = np.empty(count, _POINT)
-    points['cell'], points['neighbour'] = cell, neighbour
-    points['weight'], points['fraction'] = (fraction - 0.5) * (neighbour - cell), fraction
-    return points
+    return np.array([cell, neighbour, fraction, (fraction - 0.5) * (neighbour - cell)])
 
 
 def _arrays_of(rig: Rig) -> dict[str, Floats]:
     return {name: np.array([value]) for name, value in values_of(rig).items()}
 
 
-def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.void], Floats]:
+def _cut_layers(
+    values: Mapping[str, Floats], layer: Layer, cells: Any
+) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
     """
-    Make the sheets of layers, and the crossing times of their fastest waves.
+    Cut layers into about so many cells, at least 1 per sheet.
 
     The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers. The results have the shape (n, sheets): `_BODY` without numbers of
-    cells, and times [s].
+    proportions of all layers. The results are, for each layer, the time step [s], and for each of
+    its sheets the number of cells, the length of a cell [m], and the values of a cell in the table
+    of nodes, up to `Row.mass`.
     """
     shares = np.array([
         (
@@ -820,40 +723,35 @@ def make_bodies(values: Mapping[str, Floats], layer: Layer) -> tuple[NDArray[np.
         )
         for sheet in layer.sheets
     ]).T
-    scales, thickness = scales_of(values), values['thickness']
-    mass = values['density'] * section_of(values['diameter']) * thickness
-    wholes = np.stack([thickness, mass, scales.crossing_time, values['loss_tangent']])
-    bodies = np.zeros((thickness.size, len(layer.sheets)), _BODY)
-    bodies['thickness'], bodies['mass'], crossing, losses = wholes[:, :, None] * shares[:, None]
-    bodies['stiffness'] = bodies['mass'] / crossing**2
-    bodies['relaxed'] = 1.0
-    if layer.stress_strain_law == 'neo_hookean':
-        bodies['max_compression'] = LARGEST_STRAIN
+    scales, whole = scales_of(values), values['thickness']
+    whole_mass = values['density'] * section_of(values['diameter']) * whole
+    wholes = np.stack([whole, whole_mass, scales.crossing_time, values['loss_tangent']])
+    thickness, mass, crossing, losses = wholes[:, :, None] * shares[:, None]
+    stiffness, none = mass / crossing**2, np.zeros_like(mass)
+    relaxed, maxwell, lag = none + 1.0, np.zeros((3, *none.shape)), none
     if layer.loss == 'constant':
-        for body, loss in zip(bodies.ravel(), losses.ravel().tolist(), strict=True):
-            body['relaxed'], body['maxwell'] = relaxation(loss)
+        fits = [relaxation(loss) for loss in losses.ravel().tolist()]
+        relaxed = np.array([fit.relaxed for fit in fits]).reshape(none.shape)
+        maxwell = np.array([fit.strengths for fit in fits]).T.reshape(maxwell.shape)
     else:
-        bodies['lag'] = losses / scales.angular_frequency[:, None]
-    bound = bodies['max_compression']
-    bodies['tangent'] = bodies['relaxed'] * (1.0 + 2.0 / (1.0 - bound) ** 3) / 3.0
-    bodies['tangent'] += bodies['maxwell'].sum(axis=-1)
-    fastest = np.sqrt(bodies['tangent']) * np.where(bound > 0.0, _SHOCK_SPEED, 1.0)
-    return bodies, crossing / fastest
-
-
-def _cut_layers(
-    values: Mapping[str, Floats], layer: Layer, cells: Any
-) -> tuple[Floats, NDArray[np.void]]:
-    """
-    Cut layers into about so many cells, at least 1 per sheet; arguments as of `make_bodies`.
-
-    Returns time steps [s], and a `_BODY` for each sheet from the plate up.
-    """
-    bodies, crossings = make_bodies(values, layer)
-    steps = crossings.sum(axis=1) / cells
-    counts = (crossings / steps[:, None] * (1.0 + _ROUNDING)).astype(np.int64)
-    bodies['count'] = np.maximum(1, counts)
-    return steps, bodies
+        lag = losses / scales.angular_frequency[:, None]
+    is_curved = layer.stress_strain_law == 'neo_hookean'
+    min_stretch = 1.0 - LARGEST_STRAIN * is_curved
+    # The fastest wave is that of the largest stiffness of any state
+    tangent = relaxed * (1.0 + 2.0 / min_stretch**3) / 3.0 + maxwell.sum(axis=0)
+    crossing = crossing / (np.sqrt(tangent) * (_SHOCK_SPEED if is_curved else 1.0))
+    steps = crossing.sum(axis=1, keepdims=True) / np.reshape(cells, (-1, 1))
+    counts = np.maximum(1, (crossing / steps * (1.0 + _ROUNDING)).astype(np.int64))
+    mass, spring, inverse = mass / counts, stiffness * counts, counts / thickness
+    tangent = tangent * spring
+    is_fast = np.sqrt(mass / tangent) * (1.0 + _ROUNDING) < steps
+    implicit = np.where(is_fast, _AVERAGE_ACCELERATION * steps * steps * tangent, 0.0)
+    law = relaxed * spring, none, none, none
+    if is_curved:  # with the viscosity of von Neumann and Richtmyer
+        law = none, relaxed * spring / inverse / 3.0, none + min_stretch, mass * inverse
+    viscosity = lag * spring
+    rows = *law, *(maxwell * spring), viscosity, viscosity, implicit, inverse, mass
+    return steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1)
 
 
 def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
@@ -863,22 +761,17 @@ def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
 
 
 def cells_per_layer(rig: Rig) -> int:
-    r"""
-    Choose the number of cells of the layer in real time.
+    """
+    Choose the number of cells in real time, for errors of 1e-4 or what there is time for.
 
-    It is at least 64, with 12 per relaxation time and 120 steps in a period of the plate, for
-    errors of 1e-4, or as many as there is time for. ValueError, with a feasible value, if
-    `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 64 cells, 4 per relaxation time and 80 steps
-    in a period.
+    ValueError, with a feasible value, if `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 1e-3.
 
-    Examples
-    --------
     >>> cells_per_layer(Rig())
     64
 
     """
-    _, crossings = make_bodies(_arrays_of(rig), rig.layer)
-    rate = 1.0 / float(crossings.sum())  # of updates, over the square of the cells
+    # Of updates, over the square of the cells
+    rate = 1.0 / float(_cut_layers(_arrays_of(rig), rig.layer, 1)[0][0])
     updates, unit = _CELLS**2 * rate, 'cell updates per second'
     stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
@@ -890,33 +783,30 @@ def cells_per_layer(rig: Rig) -> int:
 
 
 def throw_batch(
-    values: Mapping[str, Floats],
-    layer: Layer,
-    *,
-    cells: int | None = None,
+    values: Mapping[str, Floats], layer: Layer, *, cells: int | None = None,
     cancelled: Cancelled | None = None,
 ) -> Floats:
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers. The number of cells, 8 to `MAX_CELLS`, is chosen for each throw by
-    default, at least 64, for errors of 1e-4. Errors are of second order, but of first order in
-    shocks. The result is that of `stepper.follow_batch`.
+    Arguments are as of `_cut_layers`, the result is that of `stepper.follow_batch`. The number of
+    cells, 8 to `MAX_CELLS`, is chosen for each throw by default, for errors of 1e-4. Errors are of
+    second order, but of first order in shocks.
     """
     if cells is not None:
         stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
     scales = scales_of(values)
     finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
     needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
-    steps, bodies = _cut_layers(values, layer, cells or np.minimum(needed, _MAX_BATCH_CELLS))
+    cells = cells or np.minimum(needed, _MAX_BATCH_CELLS)
+    steps, counts, _, sheets = _cut_layers(values, layer, cells)
     omega = scales.angular_frequency
     peak_force = values['amplitude'] * omega * scales.impedance
-    columns = steps, values['mass'], values['gravity'], omega, peak_force
+    columns = counts, sheets, steps, values['mass'], values['gravity'], omega, peak_force
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        nodes = np.zeros((_ROW_COUNT, bodies['count'][n].sum() + 2))
-        _prepare(core, nodes, bodies[n], *(column[n] for column in columns))
+        nodes = np.zeros((_ROW_COUNT, counts[n].sum() + 2))
+        _prepare(core, nodes, *(column[n] for column in columns))
         return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
     return stepper.follow_batch(
@@ -928,23 +818,8 @@ class CellStepper(Stepper):
     """
     A throw by cells; the layer may be a stack, and have loss.
 
-    `stored_energy` is that of now, at any time.
-
-    Parameters
-    ----------
-    rig, is_measured, field_points
-        As for `throw.make_stepper`.
-    cells : int, optional
-        Number of cells of the layer, from 1 to `MAX_CELLS`; the default is `cells_per_layer`.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, or an argument is out of range.
-
-    Examples
-    --------
-    A layer with internal loss:
+    `stored_energy` is that of now, at any time. Arguments are as for `throw.make_stepper`; the
+    layer has about so many cells, from 1 to `MAX_CELLS`.
 
     >>> from soft_throw_ros.core.rig import Layer
     >>> stepper = CellStepper(Rig(layer=Layer(loss_tangent=0.05)))
@@ -957,40 +832,30 @@ class CellStepper(Stepper):
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        *,
-        is_measured: bool = False,
-        cells: int | None = None,
+        self, rig: Rig, *, is_measured: bool = False, cells: int | None = None,
         field_points: int = 64,
     ) -> None:
         cells = cells_per_layer(rig) if cells is None else cells
         stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
-        steps, (bodies,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
-        self.step = float(steps[0])
-        self.cells = int(bodies['count'].sum())
+        (step,), (counts,), (lengths,), (sheets,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
+        self.step, self.cells = float(step), int(counts.sum())
         self.cost = _UPDATE_COST * (self.cells + 2) / self.step
-        super().__init__(
-            rig, RECORD, np.zeros((_ROW_COUNT, self.cells + 2)),
-            is_measured=is_measured, field_points=field_points,
-        )
-        self._reading = (reading_points(bodies, field_points),)
+        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, self.cells + 2))
         _prepare(
-            self._core, self._layer, bodies, self.step, rig.projectile.mass, rig.gravity,
+            core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
         )
-        self._start(_advance_compiled(), _read_layer_compiled())
+        super().__init__(
+            rig, core, nodes, (_advance_compiled(), _read_layer_compiled()),
+            _reading_points(counts, lengths, field_points), is_measured=is_measured,
+            field_points=field_points,
+        )
 
     @property
     def horizon(self) -> float:
         """Last step at which the plate is known, until which `advance_to` can go [s]."""
         known = super().horizon
-        if math.isinf(known):
-            return known
-        steps = int(known / self.step)
-        while steps * self.step > known:
-            steps -= 1
-        return steps * self.step
+        return known if math.isinf(known) else known // self.step * self.step
 
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""

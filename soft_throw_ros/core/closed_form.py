@@ -161,11 +161,10 @@ def first_releases(
     )
     ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
     phase, speed = np.empty((2, ratios.shape[1]))
-
-    def run(batch: NDArray[np.int64]) -> None:
-        _release_series(ratios, phase, speed, batch[0], batch.size)
-
-    run_batches(run, np.arange(phase.size), size=_BATCH, threads=threads)
+    run_batches(
+        lambda batch: _release_series(ratios, phase, speed, batch[0], batch.size),
+        np.arange(phase.size), size=_BATCH, threads=threads,
+    )
     energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
 
@@ -240,8 +239,7 @@ def _phasor(lam, sigma):
 
 @inlined
 def _wave(mu, kappa, zeta, gravity):
-    root = math.sqrt(1.0 - zeta * zeta)
-    rate = 1.0 / mu
+    root, rate = math.sqrt(1.0 - zeta * zeta), 1.0 / mu
     crossing = 2.0 * math.pi / kappa  # w t_s
     lam = complex(-zeta * crossing, root * crossing)
     below = 1.0 + lam * mu
@@ -261,13 +259,10 @@ def _find(wave, c, b):
 
     Returns interval k, a bracket of the root (up to 0 if it is unknown), a guess, and Q_k.
     """
-    turn = wave.lam.imag
-    weight = wave.weight
+    turn, weight = wave.lam.imag, wave.weight
     steady = complex(1.0, 0.0)  # Q_k
-    c[0] = -2.0 * wave.inverse.imag
-    b[0] = wave.fade
-    s_now = 0.0
-    s_next = c[0] * b[0]
+    c[0], b[0] = -2.0 * wave.inverse.imag, wave.fade
+    s_now, s_next = 0.0, c[0] * b[0]
     force = (wave.to_force * wave.step).imag - s_next + weight  # at the end of the interval
     if weight == 0.0:
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
@@ -284,11 +279,8 @@ def _find(wave, c, b):
             low, high = _search(_FIRST, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
                 return _FIRST, low, high, math.nan, steady
-    effort = 0.0
-    arriving = complex(1.0, 0.0)  # e^{2 k lambda}
-    power = complex(1.0, 0.0)  # r^k
-    largest = 1.0
-    margin = turn
+    arriving = power = complex(1.0, 0.0)  # e^{2 k lambda}, r^k
+    effort, largest, margin = 0.0, 1.0, turn
     longest = 0.5 * MAX_PERIODS * max(wave.kappa, 2.0 * math.pi * math.sqrt(wave.mu))
     for k in range(1, int(min(MAX_INTERVALS, 2.0 + longest))):
         arriving *= wave.step
@@ -296,7 +288,7 @@ def _find(wave, c, b):
         steady = arriving + wave.reflection * steady
         underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
         if _size(steady) > _GROWTH_LIMIT**2 or underflows:
-            return k, 0.0, 0.0, math.nan, steady
+            break
         older = b[k - 2] if k > 1 else 0.0
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
         s_before, s_now = s_now, s_next
@@ -321,7 +313,7 @@ def _find(wave, c, b):
             continue
         effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
         if effort > _SEARCH_EFFORT:
-            return k, 0.0, 0.0, math.nan, steady
+            break
         low, high = _search(k, 0.0, 2.0, wave, steady, c)
         if high > 0.0:
             return k, low, high, math.nan, steady
@@ -347,26 +339,21 @@ def _attached(k, sigma, wave, steady, c):
     """Compute G, its derivative, and v_+ in interval k, while the projectile is attached."""
     phasor = steady * _phasor(wave.lam, sigma)
     pull = wave.to_force * phasor
-    newer = c[k]
-    older = c[k - 1] if k > 0 else 0.0
+    newer, older = c[k], c[k - 1] if k > 0 else 0.0
     x = 2.0 * sigma * wave.rate
     before, phi = 0.0, math.exp(-sigma * wave.rate)  # phi_{j-1}, phi_j
     dphi = -phi
     force, slope, upward = (newer + older) * phi, (newer + older) * dphi, older * phi
     for j in range(1, k + 1):
-        newer = older
-        older = c[k - j - 1] if j < k else 0.0
+        newer, older = older, c[k - j - 1] if j < k else 0.0
         following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
         dphi -= phi + following
         before, phi = phi, following
         force += (newer + older) * phi
         slope += (newer + older) * dphi
         upward += older * phi
-    return (
-        pull.imag - force,
-        (wave.lam * pull).imag - slope * wave.rate,
-        phasor.imag - upward,
-    )
+    slope = (wave.lam * pull).imag - slope * wave.rate
+    return pull.imag - force, slope, phasor.imag - upward
 
 
 @subroutine
@@ -413,9 +400,7 @@ def _search(k, start, stop, wave, steady, c):
     beyond = stop - start - layer
     fine = 16 + 8 * k
     coarse = 4 + int(8.0 * wave.lam.imag * beyond / math.pi) if beyond > 0.0 else 0
-    low = start
-    low_force = 0.0
-    low_slope = 0.0
+    low, low_force, low_slope = start, 0.0, 0.0
     for i in range(fine + coarse + 1):
         high = start + layer * min(1.0, i / fine) ** 2
         if i > fine:
@@ -437,7 +422,5 @@ def _search(k, start, stop, wave, steady, c):
                     before = middle
                 else:
                     after = middle
-        low = high
-        low_force = force
-        low_slope = slope
+        low, low_force, low_slope = high, force, slope
     return 0.0, -1.0

@@ -24,13 +24,8 @@ _SUBROUTINE: dict[str, Any] = {**_OPTIONS, 'no_cpython_wrapper': True, 'no_cfunc
 subroutine = nb.njit(**_SUBROUTINE)
 """Compile a function that only kernels call, which takes half as long."""
 
-_INLINED: dict[str, Any] = {**_SUBROUTINE, 'forceinline': True}
-inlined = nb.njit(**_INLINED)
+inlined = nb.njit(**_SUBROUTINE, forceinline=True)
 """Compile a subroutine that every step calls."""
-
-_REDUCTION: dict[str, Any] = {**_INLINED, 'fastmath': {'reassoc'}}
-reduction = nb.njit(**_REDUCTION)
-"""Compile a subroutine whose sums may be reordered, which is faster."""
 
 
 def compiled(function: Any, *types: nb.types.Type) -> Callable[[], Callable[..., Any]]:

@@ -189,13 +189,8 @@ class SampledMotion(Motion):
 
     def from_start(self) -> SampledMotion:
         """Return the motion with times since its first state."""
-        start = self.start_time
+        start = self.times[0]
         return self if start == 0.0 else SampledMotion(self.times - start, self.states)
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first state [s]."""
-        return float(self.times[0])
 
     @property
     def end_time(self) -> float:
@@ -215,7 +210,7 @@ class SampledMotion(Motion):
 
     def states_at(self, time: Floats) -> Floats:
         """Height [m], velocity [m/s] and acceleration [m/s2]."""
-        inside = np.clip(time, self.start_time, self.end_time)
+        inside = np.clip(time, self.times[0], self.times[-1])
         rates = (np.where(time == inside, self._path(inside, order), 0.0) for order in (1, 2))
         return np.stack((self._path(inside), *rates), axis=-1)
 

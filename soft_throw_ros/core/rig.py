@@ -28,11 +28,10 @@ from soft_throw_ros.core.material import (
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
 
-LINEAR_STRAIN = 0.15
-"""Largest strain of a linear layer with reliable results. [-]
-
-There a neo-Hookean layer throws up to 5 % earlier than a linear one, with an energy transfer that
-differs by up to 5 %. That is about the error of a wave speed.
+_LINEAR_STRAIN = 0.15
+"""
+Largest strain of a linear layer with reliable results: there a neo-Hookean layer throws up to 5 %
+earlier, with an energy transfer that differs by up to 5 %, about the error of a wave speed. [-]
 """
 
 STANDARD_GRAVITY = 9.81
@@ -172,9 +171,10 @@ class Layer:
                 f'got {self.loss_tangent:g}'
             )
         if self.parts:
-            own = {name: value for name, value in vars(self).items() if name != 'parts'}
             whole = _values_of_sheets(self.parts)
-            if changes := {name: own[name] for name in own if own[name] != whole[name]}:
+            changes = {name: value for name, value in vars(self).items() if name in whole}
+            changes = {name: value for name, value in changes.items() if value != whole[name]}
+            if changes:
                 sheets = (_changed_sheet(sheet, whole, changes) for sheet in self.parts)
                 object.__setattr__(self, 'parts', tuple(sheets))
 
@@ -251,7 +251,7 @@ class Layer:
     @property
     def linear_range(self) -> float:
         """Largest strain with reliable results [-]."""
-        return LINEAR_STRAIN if self.stress_strain_law == 'linear' else LARGEST_STRAIN
+        return _LINEAR_STRAIN if self.stress_strain_law == 'linear' else LARGEST_STRAIN
 
     @property
     def sheets(self) -> tuple[Layer, ...]:

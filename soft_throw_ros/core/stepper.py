@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 import copy
 from functools import partial
+from itertools import pairwise
 import math
 from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
@@ -72,7 +73,7 @@ COMMON = [
 ]
 """Fields of the records of all steppers, for `numpy.dtype`."""
 
-BACKWARDS, BEYOND_HORIZON, TOO_MANY_EVENTS, TOO_FAR = -1, -2, -3, -4
+BAD_TIME, BEYOND_HORIZON, TOO_MANY_EVENTS = -1, -2, -3
 """Error codes that a kernel returns instead of the number of events."""
 
 
@@ -117,67 +118,53 @@ class Stepper:
     """
     One throw, going forward: state, layer, events and loads at any time.
 
-    Attributes
-    ----------
-    rig : Rig
-        The rig.
-    field_points : int
-        Heights of the layer, from plate to top, at which it is read.
-    state : ndarray, shape (7,)
-        At exactly the time that was asked for last, and always the same array: `TIME` [s],
-        `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's
-        position at rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE`
-        and `PROJECTILE_FORCE` of the layer on each, up [N].
+    `state` is always the same array, at exactly the time that was asked for last: `TIME` [s],
+    `PLATE_POSITION` and `PROJECTILE_POSITION` (of the lower face) up from the plate's position at
+    rest [m], `PLATE_VELOCITY` and `PROJECTILE_VELOCITY` [m/s], `PLATE_FORCE` and
+    `PROJECTILE_FORCE` of the layer on each, up [N]. The layer is read at `field_points` heights
+    from plate to top.
 
-    Notes
-    -----
     The results at a time depend on this time alone, to the last bit: not on the times of earlier
     requests, nor (given the states of a measured plate) on the size of the appended pieces.
     Nothing is allocated after construction, except for `events`, and no kernel holds Python's
     lock.
 
-    A stepper has three records: at a step of its grid, at the time asked for, and at rest. The
-    constructor of a subclass completes the third one and the layer, and calls `_start`.
-
+    A stepper has three records: at a step of its grid, at the time asked for, and at rest.
     """
 
     cost: float
     """Time of a processor over time of the rig, about [-]."""
 
-    _reading: tuple[NDArray[np.void], ...] = ()
-    """Further arguments of the kernel that reads the layer."""
-
     def __init__(
-        self, rig: Rig, record: np.dtype[np.void], layer: Floats, *, is_measured: bool,
-        field_points: int,
+        self, rig: Rig, core: NDArray[np.void], layer: Floats,
+        kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: Floats,
+        is_measured: bool, field_points: int,
     ) -> None:
+        """
+        Take over the state at rest: a layer, and the third of three records but for the plate.
+
+        One kernel advances and the other one, with the arguments `reading`, reads the layer.
+        """
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
-        self._layer = layer
+        self._kernels, self._reading = kernels, reading
+        self._layer_at_rest = layer
         self._events = np.zeros((MAX_EVENTS, 4))  # rows of kind, time, position, velocity
-        self._readable = np.empty(0)  # the array that was checked last
-        self._use_records(np.zeros(3, record))
-        self._path = write_motion(self._core, rig.engine, is_measured=is_measured)
+        self._path = write_motion(core, rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
-
-    def _use_records(self, core: NDArray[np.void]) -> None:
-        self._core = core
-        self._numbers = core.view(np.float64).reshape(3, -1)  # for faster copies
-        self.state = core['state'][1]
-        self.state.flags.writeable = False
-
-    def _start(self, *kernels: Callable[..., Any]) -> None:
-        """Take over the kernels that advance and that read the layer, and go to time 0."""
-        self._kernels = kernels
-        self._layer_at_rest = self._layer.copy()
-        self._bind()
+        self._bind(core, layer.copy())
         self.reset()
 
-    def _bind(self) -> None:
-        """Hand the arrays to the kernels."""
+    def _bind(self, core: NDArray[np.void], layer: Floats) -> None:
+        """Take over arrays for the state of this stepper alone."""
+        self._core, self._layer = core, layer
+        self._numbers = core.view(np.float64).reshape(3, -1)  # for faster copies
+        self._field = np.empty((4, self.field_points))
+        self.state = core['state'][1]
+        self.state.flags.writeable = False
         advance, read_layer = self._kernels
-        self._advance = partial(advance, self._core, self._layer, self._path, self._events)
-        self._read_layer = partial(read_layer, self._core, self._layer, *self._reading)
+        self._advance = partial(advance, core, layer, self._path, self._events)
+        self._read_layer = partial(read_layer, core, layer, *self._reading, self._field)
 
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
@@ -196,20 +183,27 @@ class Stepper:
         were too many events on the way, and only `reset` helps.
         """
         count: int = self._advance(time)
-        if count < 0:
-            raise self._refusal(count, float(time))
+        if count == BEYOND_HORIZON:
+            raise HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
+        if count == TOO_MANY_EVENTS:
+            raise EventLimitError(f'more than {MAX_EVENTS} events before {time:g} s')
+        if count == BAD_TIME:
+            raise ValueError(
+                f'time must be finite and must not go backwards, got {time!r} s after '
+                f'{float(self.state[TIME])!r} s'
+            )
         return count
 
     def advance_to_release(
-        self, *, latest: float, step: float | None = None, cancelled: Cancelled | None = None
+        self, *, latest: float, cancelled: Cancelled | None = None
     ) -> Event | None:
         """
         Go forward until the first release, and return it, or None if there is none by `latest`.
 
-        SearchCancelledError if `cancelled` returns True, which is called after each `step`, by
-        default a quarter of the projectile's own period. [s]
+        SearchCancelledError if `cancelled` returns True, which is called after each quarter of the
+        projectile's own period.
         """
-        step = step or 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
+        step = 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
         time = float(self.state[TIME])
         while not self.advance_to(time):
             check_cancelled(cancelled)
@@ -218,44 +212,30 @@ class Stepper:
             time = min(time + step, latest)
         return self.events()[0]
 
-    def _refusal(self, status: int, time: float) -> Exception:
-        """Return the exception for a failed advance."""
-        if status == BEYOND_HORIZON:
-            return HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
-        if status == TOO_MANY_EVENTS:
-            return EventLimitError(f'more than {MAX_EVENTS} events before {time:g} s')
-        if status == TOO_FAR or math.isnan(time):
-            return ValueError(f'time must be finite and within 4e15 steps, got {time:g} s')
-        return ValueError(
-            f'time must not go backwards, got {time!r} s after {float(self.state[TIME])!r} s'
-        )
-
     def append_plate_states(self, times: ArrayLike, states: ArrayLike) -> None:
         """
         Append states of a measured plate in real time; quintics join the states.
 
         A row of the states, of shape (n, 3), is height [m], velocity [m/s] and acceleration
         [m/s2]; times [s] increase, from call to call too. The plate is at rest before the first
-        state, and known up to the last one. ValueError if the stepper was not made with
-        `is_measured`, or states are not finite, not increasing, at negative times, or more than
-        `plate_kernels.MAX_PIECES_AHEAD` ahead; none is taken.
+        state, and known up to the last one. ValueError, and none is taken, if the stepper was not
+        made with `is_measured`, or states are not finite, not increasing, at negative times, or
+        more than `plate_kernels.MAX_PIECES_AHEAD` ahead.
         """
         if not self._is_measured:
             raise ValueError('append_plate_states needs a stepper made with is_measured')
         times = np.ascontiguousarray(times, dtype=np.float64)
         states = np.ascontiguousarray(states, dtype=np.float64)
-        if times.ndim != 1 or states.shape != (times.size, 3):
-            raise ValueError(
-                'times and states must be of shapes (n,) and (n, 3), '
-                f'got {times.shape} and {states.shape}'
-            )
         if not times.size:
             return
-        last = float(self._core[0]['last'][0])
-        if not _are_in_order(times, states, last):
+        known = [float(self._core[0]['last'][0]), *times.tolist()]
+        is_ordered = all(before < time < math.inf for before, time in pairwise(known))
+        is_finite = all(map(math.isfinite, states.ravel().tolist()))
+        is_allowed = is_ordered and is_finite and known[1] >= 0.0
+        if not is_allowed or states.shape != (times.size, 3):
             raise ValueError(
-                f'times must increase from {last:g} s and not be negative, and all be finite, '
-                f'got times {times.tolist()} and states {states.tolist()}'
+                f'states must be three finite numbers each, at times from 0 on that increase '
+                f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > MAX_PIECES_AHEAD:
@@ -283,9 +263,7 @@ class Stepper:
         if not self._is_measured:
             raise ValueError('fork needs a stepper made with is_measured')
         other = copy.copy(self)
-        other._use_records(self._core.copy())
-        other._layer = self._layer.copy()
-        other._bind()
+        other._bind(self._core.copy(), self._layer.copy())
         other._is_measured = False
         return other
 
@@ -310,18 +288,16 @@ class Stepper:
         """Copy the state of the layer."""
         self._layer[:] = origin._layer
 
-    def read_layer(self, out: Floats) -> None:
+    def read_layer(self) -> Floats:
         """
-        Write the state of the layer at the present time, from plate to top.
+        Return the layer at the present time, from plate to top; always the same array.
 
-        The rows of `out`, of float64 and shape (3 or 4, field_points), are heights above the
-        plate's rest position [m], velocities [m/s], forces through the layer, positive in
-        compression [N], and total strains, negative in compression [-]; else ValueError.
+        The rows, of shape (4, field_points), are heights above the plate's rest position [m],
+        velocities [m/s], forces through the layer, positive in compression [N], and total
+        strains, negative in compression [-].
         """
-        if out is not self._readable:
-            _require_target(out, self.field_points)
-            self._readable = out
-        self._read_layer(out)
+        self._read_layer()
+        return self._field
 
     @property
     def horizon(self) -> float:
@@ -429,10 +405,8 @@ def note_event(s: Record, events: Floats, time: float, height: float, velocity: 
 @subroutine
 def steps_until(s: Record, step: float, time: float) -> int:
     """Return the number of whole steps until a time, or an error code."""
-    if not time >= s.time:
-        return BACKWARDS
-    if time >= 4e15 * step:
-        return TOO_FAR
+    if not s.time <= time < 4e15 * step:
+        return BAD_TIME
     steps = int(time / step)
     while steps * step > time:
         steps -= 1
@@ -441,23 +415,13 @@ def steps_until(s: Record, step: float, time: float) -> int:
     return steps
 
 
-def _are_in_order(times: Floats, states: Floats, last: float) -> bool:
-    """Return whether states are finite, and times increase after `last` and are not negative."""
-    for time in times.tolist():
-        if not (last < time < math.inf and time >= 0.0):
-            return False
-        last = time
-    return all(map(math.isfinite, states.ravel().tolist()))
-
-
 def load_kernels(stepper: Stepper) -> None:
     """Compile or load the kernels of a stepper, which is new and has a measured plate."""
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer(np.empty((3, stepper.field_points)))
+    stepper.read_layer()
     stepper.fork().sync_from(stepper)
     stepper.stored_energy()
-    _ = stepper.loads
 
 
 def require_count(name: str, value: object, *, low: int, high: int) -> int:
@@ -484,10 +448,3 @@ def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str
             f'{needed:.3g} {unit}, the limit is {limit:g}; '
             f'feasible: {name} of {feasible:.4g} {dimension} or {bound}'
         )
-
-
-def _require_target(out: Floats, points: int) -> None:
-    """Raise ValueError unless a kernel can write a layer to `out`."""
-    is_array = isinstance(out, np.ndarray) and out.dtype == np.float64 and out.flags.carray
-    if not (is_array and out.shape in ((3, points), (4, points))):
-        raise ValueError(f'out must be a float64 array of shape (3 or 4, {points}), got {out!r}')

@@ -13,30 +13,18 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
-from soft_throw_ros.core.batch import (
-    Cancelled,
-    check_cancelled,
-    run_batches,
-    ThrowUnresolvedError,
-)
-from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio, PlateMotion
+from soft_throw_ros.core.batch import Cancelled, check_cancelled, run_batches, ThrowUnresolvedError
+from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
-from soft_throw_ros.core.stepper import (
-    Event,
-    Loads,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-    Stepper,
-    TIME,
-)
+from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 
 Floats = NDArray[np.float64]
 
-MAX_DURATION = 60.0
+_LONGEST = 60.0
 """Longest that a throw is followed if nothing else ends it. [s]"""
 
 _BUDGET = 0.5
-"""Processor time after which a throw ends that `until` does not end. [s]"""
+"""Time of a processor after which a throw ends that `until` does not end. [s]"""
 
 _QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
 """Crossings plus periods after a release that show how far up the free top swings."""
@@ -109,15 +97,12 @@ def _make_settled_stepper(
     """
     if cells is not None or not rig.layer.needs_cells or rig.layer.loss_tangent > 0.0:
         return make_stepper(rig, cells=cells, field_points=2), cells
-    before: tuple[float, float] | None = None
-    cells = _LOSSLESS_CELLS
+    cells, before = _LOSSLESS_CELLS, (math.inf, math.inf)
     while True:
         stepper = make_stepper(rig, cells=cells, field_points=2)
         event = stepper.advance_to_release(latest=rig.longest_wait, cancelled=cancelled)
         now = (math.nan, math.nan) if event is None else (event.time, event.velocity)
-        is_settled = before is not None and np.allclose(
-            now, before, rtol=_HALVING, atol=0.0, equal_nan=True
-        )
+        is_settled = np.allclose(now, before, rtol=_HALVING, atol=0.0, equal_nan=True)
         if is_settled or cells == _MAX_CELLS:
             return stepper, cells
         cells, before = 2 * cells, now
@@ -137,7 +122,7 @@ class Throw:
     rest_height: float
     """Height of the projectile's lower face before the throw. [m]"""
     events: tuple[Event, ...]
-    """Releases, re-contacts and landings in order; the first is a release."""
+    """Releases, re-contacts and landings in order; the first one is the first release."""
     end_time: float
     """Time until which it was followed. [s]"""
     loads: Loads
@@ -147,14 +132,9 @@ class Throw:
     """Work that is not stored in layer and projectile. [J]"""
 
     @property
-    def motion(self) -> PlateMotion:
-        """Motion of the plate."""
-        return motion_of(self.rig.engine)
-
-    @property
     def peak_plate_speed(self) -> float:
         """:math:`V_p^*` [m/s]."""
-        return self.motion.peak_velocity
+        return motion_of(self.rig.engine).peak_velocity
 
     @property
     def peak_strain(self) -> float:
@@ -167,11 +147,6 @@ class Throw:
         return ejections(self.events)
 
     @property
-    def first_release(self) -> Event:
-        """Event at which the projectile first leaves the layer."""
-        return self.events[0]
-
-    @property
     def last_release(self) -> Event:
         """Event at which it leaves for the last time, after all re-contacts that were followed."""
         return self.ejections[-1]
@@ -179,12 +154,12 @@ class Throw:
     @property
     def ejection_time(self) -> float:
         """:math:`t_e` of the first release [s]."""
-        return self.first_release.time
+        return self.events[0].time
 
     @property
     def ejection_speed(self) -> float:
         """:math:`V_e` of the first release [m/s]."""
-        return self.first_release.velocity
+        return self.events[0].velocity
 
     @property
     def energy_transfer(self) -> float:
@@ -217,7 +192,7 @@ class Throw:
         rows, layer = np.empty((time.size, 5)), np.empty((time.size, 4, points))
         for row, heights, moment in zip(rows, layer, time.tolist(), strict=True):
             stepper.advance_to(moment)
-            stepper.read_layer(heights)
+            heights[:] = stepper.read_layer()
             plate, projectile, plate_velocity, velocity = stepper.state[1:5]
             row[:] = plate, stepper.surface_position, projectile, plate_velocity, velocity
         depth = np.linspace(0.0, self.rig.layer.thickness, points)
@@ -243,9 +218,9 @@ def simulate(
         Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
         Stop at this time. If not given, stop when the projectile has come down on the layer, since
-        a lossless bounce has no end. Without gravity, or if the simulation until then would take
-        more than about half a second, stop when the projectile is far above every height that the
-        free top reached in eight crossings and two periods of the plate. [s]
+        a lossless bounce has no end, or after half a second of computing. Where the projectile
+        cannot come down until then, stop when it is far above every height that the free top
+        reached in eight crossings and two periods of the plate. [s]
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -306,8 +281,8 @@ def simulate(
 def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
-    latest = MAX_DURATION if until is None else until
     affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
+    latest = min(_LONGEST, affordable) if until is None else until
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = stepper.rest_position
@@ -316,23 +291,22 @@ def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> 
         check_cancelled(cancelled)
         ticks += 1
         time = min(ticks * tick, latest)
-        if stepper.advance_to(time) > event_count:
-            last = stepper.events(event_count)[-1]
-            event_count = stepper.event_count
-            low = high = stepper.surface_position
-            if last.kind == 'landing' and until is None:
-                return
+        count = stepper.advance_to(time)
         if until is not None:
             continue
-        if time > affordable or (not event_count and time > rig.longest_wait):
+        surface = stepper.surface_position
+        if count > event_count:
+            event_count, last = count, stepper.events(count - 1)[0]
+            if last.kind == 'landing':
+                return
+            low = high = surface
+        low, high = min(low, surface), max(high, surface)
+        if not count and time > rig.longest_wait:
             return
-        low, high = min(low, stepper.surface_position), max(high, stepper.surface_position)
-        if event_count and not stepper.in_contact and time - last.time > quiet:
-            rise, speed = stepper.state[PROJECTILE_POSITION], stepper.state[PROJECTILE_VELOCITY]
-            is_out_of_reach = rise - high > high - low and speed > 0.0
-            if is_out_of_reach and (
-                rig.gravity == 0.0 or time + 2.0 * speed / rig.gravity > min(affordable, latest)
-            ):
+        if count and not stepper.in_contact and time - last.time > quiet:
+            _, _, height, _, speed, _, _ = stepper.state.tolist()
+            returns = rig.gravity > 0.0 and time + 2.0 * speed / rig.gravity <= latest
+            if height - high > high - low and speed > 0.0 and not returns:
                 return
 
 
@@ -430,23 +404,44 @@ def throw_many(
     status = np.where(exist, HELD, REFUSED)
     results = np.full((6, exist.size), math.nan)
 
+    def selected(batch: NDArray[np.int64]) -> dict[str, Floats]:
+        return {name: column[batch] for name, column in values.items()}
+
     def by_closed_form(batch: NDArray[np.int64]) -> None:
-        selected = {name: column[batch] for name, column in values.items()}
-        results[:, batch] = _throw_by_closed_form(selected, loads, cancelled)
+        own = selected(batch)
+        scales = scales_of(own)
+        phase, speed, _ = closed_form.first_releases(
+            mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio, threads=1,
+            damping_ratio=own['damping_ratio'], gravity_ratio=scales.gravity_ratio,
+        )
+        results[0, batch] = phase / own['frequency']
+        results[1, batch] = speed * own['amplitude'] * scales.angular_frequency
+        if loads:
+            known = batch[~np.isnan(phase)]
+            results[2:, known] = wave_stepper.throw_batch(
+                selected(known), until=results[0, known], cancelled=cancelled
+            )[2:]
 
     def by_cells(batch: NDArray[np.int64]) -> None:
-        selected = {name: column[batch] for name, column in values.items()}
         results[:, batch] = cell_stepper.throw_batch(
-            selected, rig.layer, cells=cells, cancelled=cancelled
+            selected(batch), rig.layer, cells=cells, cancelled=cancelled
         )
 
     def by_steppers(batch: NDArray[np.int64]) -> None:
         for n in batch.tolist():
             changed = rig_with(rig, {name: values[name][n].item() for name in new})
+            own_cells = cells if changed.layer.needs_cells else None
             try:
-                results[:, n] = _follow_one(changed, cells, cancelled)
+                stepper, _ = _make_settled_stepper(changed, own_cells, cancelled)
+                release = stepper.advance_to_release(
+                    latest=changed.longest_wait, cancelled=cancelled
+                )
             except ThrowUnresolvedError:
                 status[n] = REFUSED
+                continue
+            if release is not None:
+                row = release.time, release.velocity, *stepper.loads, stepper.plate_work
+                results[:, n] = row
 
     is_lossy, is_linear = values['loss_tangent'] > 0.0, rig.layer.stress_strain_law == 'linear'
     needs_cells = is_lossy | bool(rig.layer.parts or not is_linear)
@@ -462,9 +457,10 @@ def throw_many(
         )
     status[~np.isnan(results[0])] = RELEASED
     results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
-    peak_speed = motion_of(rig.engine).peak_velocity / rig.engine.speed_scale
     if rig.engine.motion is None:
         peak_speed = peak_velocity_ratio(values['damping_ratio'])
+    else:
+        peak_speed = rig.engine.motion.peak_velocity / rig.engine.speed_scale
     peak_speed = peak_speed * 2.0 * math.pi * values['frequency'] * values['amplitude']
     rows = np.insert(results, 2, (results[1] / peak_speed) ** 2, axis=0).reshape(7, *shape)
     numbers: Any = (*rows, status.astype(np.int8).reshape(shape))
@@ -490,39 +486,4 @@ def rig_with(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         layer=replace(rig.layer, **of_layer),
         projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
         gravity=changes.get('gravity', rig.gravity),
-    )
-
-
-def _throw_by_closed_form(
-    values: Mapping[str, Floats], loads: bool, cancelled: Cancelled | None
-) -> Floats:
-    """Compute rows as of `cell_stepper.throw_batch`, with loads by waves."""
-    scales = scales_of(values)
-    phase, speed, _ = closed_form.first_releases(
-        mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio,
-        damping_ratio=values['damping_ratio'], gravity_ratio=scales.gravity_ratio, threads=1,
-    )
-    results = np.full((6, values['mass'].size), math.nan)
-    results[0] = phase / values['frequency']
-    results[1] = speed * values['amplitude'] * scales.angular_frequency
-    if loads:
-        known = ~np.isnan(results[0])
-        results[2:, known] = wave_stepper.throw_batch(
-            {name: column[known] for name, column in values.items()}, until=results[0, known],
-            cancelled=cancelled,
-        )[2:]
-    return results
-
-
-def _follow_one(rig: Rig, cells: int | None, cancelled: Cancelled | None) -> tuple[float, ...]:
-    """Compute a row as of `cell_stepper.throw_batch` with a stepper."""
-    cells = cells if rig.layer.needs_cells else None
-    stepper, _ = _make_settled_stepper(rig, cells, cancelled)
-    release = stepper.advance_to_release(latest=rig.longest_wait, cancelled=cancelled)
-    if release is None:
-        return (math.nan,) * 6
-    loads = stepper.loads
-    return (
-        release.time, release.velocity, loads.strain, loads.acceleration, loads.plate_force,
-        stepper.plate_work,
     )

@@ -52,7 +52,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, kernel, subroutine
+from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
 from soft_throw_ros.core.plate_kernels import enter_piece, motion_at
 from soft_throw_ros.core.rig import Rig, scales_of
 from soft_throw_ros.core.stepper import Stepper
@@ -138,7 +138,6 @@ RECORD = np.dtype(
         ('peak_contact_force', 'f8'),  # of the scaled contact force 2 p - V
         ('peak_plate_stress', 'f8'),  # of p - m + g tau at the plate
         ('peak_strain', 'f8'),  # of the same in the layer
-        ('first_work', 'f8'),  # the next at the first release
         ('power_sum', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
         # at `time`
@@ -281,21 +280,21 @@ def _find_event(s, waves, cubic):
 @subroutine
 def _change_contact(s, waves, events, d, cubic):
     """Release or land the projectile d steps after `s.cell`, and return its velocity."""
-    time, rise = (s.cell + d) * s.step, _rise(s, waves, d)
+    rise = 2.0 * _rise(s, waves, d)
+    _, height, V = _free_flight(s, d)
     if s.contact:
         V = _mass_velocity(s, d, s.velocity, *cubic)
-        height = s.top + 2.0 * rise - s.relaxation * V
+        height = s.top + rise - s.relaxation * V
         if s.events == 0:
             _compare_strains_at(s, waves, s.cell)
-            s.first_work = s.power_sum + 0.5 * s.power * (2.0 * d - 1.0)
-        stepper.note_event(s, events, time, height, V)
+            _write_work(s, d)
+    stepper.note_event(s, events, (s.cell + d) * s.step, height, V)
+    s.top = height - rise
+    if s.contact:
+        s.top += s.relaxation * V
+    else:
         s.launch_cell, s.launch_offset = s.cell, d
         s.launch_height, s.launch_velocity = height, V
-        s.top = height - 2.0 * rise
-    else:
-        _, height, V = _free_flight(s, d)
-        stepper.note_event(s, events, time, height, V)
-        s.top = height - 2.0 * rise + s.relaxation * V
     return V
 
 
@@ -310,31 +309,23 @@ def _cross_step(s, waves, events, target):
     begin, V, jump = 0.0, s.velocity, 0.0
     event = _find_event(s, waves, cubic)
     if event <= target:
-        begin, was_in_flight = event, not s.contact
-        V = _change_contact(s, waves, events, event, cubic)
+        begin, V = event, _change_contact(s, waves, events, event, cubic)
         cubic = _shift(event, *cubic)
-        if was_in_flight:  # m jumps from p + g tau to V - p
+        if s.contact:  # m jumps from p + g tau to V - p
             jump = V - 2.0 * cubic[0] - s.gravity_offset
     if s.contact:
         V = _mass_velocity(s, target - begin, V, *cubic)
     if target < 1.0:
         p, _, _, _ = _shift(target - begin, *cubic)
-        _write_top(s, target, p, V, _rise(s, waves, target))
+        _write_top(s, target, p, V, 2.0 * _rise(s, waves, target))
         return
-    j = s.cell - s.base
+    j = s.cell + 1 - s.base
+    p = waves[0, j - s.steps]
     s.sum = _rise(s, waves, 1.0) / s.step
-    _end_step(s, waves, V)
-    waves[1, j if begin < 0.5 else j + 1] += (0.5 - begin) * jump  # keeps the area under m
-
-
-@subroutine
-def _end_step(s, waves, V):
-    """Write the sample of m at the next grid point, and account for the step."""
     s.cell += 1
     s.velocity = V if s.contact else 0.0
-    j = s.cell - s.base
-    p = waves[0, j - s.steps]
     waves[1, j] = V - p if s.contact else p + s.gravity_offset  # m = V - p, Sec. IV
+    waves[1, j - 1 if begin < 0.5 else j] += (0.5 - begin) * jump  # keeps the area under m
     if s.events == 0:
         s.peak_contact_force = max(s.peak_contact_force, 2.0 * p - V)
         p, m = waves[0, j], waves[1, j - s.steps]
@@ -345,25 +336,22 @@ def _end_step(s, waves, V):
 
 
 @subroutine
-def _write_top(s, offset, a, V, P):
-    """Write the state of projectile and top within a step, where p is a."""
-    s.upward[1] = a
+def _write_top(s, offset, p, V, rise):
+    """Write the state of projectile and top within a step."""
+    time, height, velocity = _free_flight(s, offset)
+    m, force, surface = p + s.gravity_offset, 0.0, s.top + rise + s.gravity_offset * time
     if s.contact:
-        s.downward[1] = V - a
-        s.surface = height = s.top + 2.0 * P - s.relaxation * V
-        velocity, force = V, s.impedance * (2.0 * a - V + s.gravity_offset)
-    else:
-        time, height, velocity = _free_flight(s, offset)
-        s.downward[1], force = a + s.gravity_offset, 0.0
-        s.surface = s.top + 2.0 * P + s.gravity_offset * time
+        m, force, velocity = V - p, s.impedance * (2.0 * p - V + s.gravity_offset), V
+        surface = height = s.top + rise - s.relaxation * V
+    s.upward[1], s.downward[1], s.surface = p, m, surface
     s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
     s.state[stepper.PROJECTILE_VELOCITY] = velocity
     s.state[stepper.PROJECTILE_FORCE] = force
 
 
 @subroutine
-def _run_in_contact(s, waves, count):
-    """Advance by up to `count` steps, stopping before a release."""
+def _run(s, waves, count):
+    """Advance by up to `count` steps, stopping before an event; return the number of steps."""
     first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
     top, downward = waves[0, first - N - 1:], waves[1, first + 1:]
     leaving, coming = waves[0, first + 1:], waves[1, first + 1 - N:]
@@ -372,53 +360,36 @@ def _run_in_contact(s, waves, count):
     behind, here, ahead = top[0], top[1], top[2]
     V, total, work, power = s.velocity, s.sum, s.power_sum, s.power
     peak_force, peak_stress = s.peak_contact_force, s.peak_plate_stress
-    done = count
+    in_contact, done = s.contact, count
+    step, twice, gap, fall = s.step, 2.0 * s.step, s.launch_height - s.top, 0.5 * s.gravity
+    start, speed = s.cell + 1 - s.launch_cell - s.launch_offset, s.launch_velocity - offset
     for n in range(count):
-        beyond = top[n + 3]
-        drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
-        following = decay * V + drive  # tau V' + V = 2 p, Sec. IV
-        force = 2.0 * ahead - following
-        if force < threshold:
-            done = n
-            break
-        V = following
-        peak_force = max(peak_force, force)
-        downward[n] = V - ahead
-        total += 0.5 * (here + ahead)
-        stress = leaving[n] - coming[n] + offset
-        power = stress * (leaving[n] + coming[n])
-        work += power
-        peak_stress = max(peak_stress, abs(stress))
-        behind, here, ahead = here, ahead, beyond
+        beyond, area = top[n + 3], total + 0.5 * (here + ahead)
+        if in_contact:
+            drive = w0 * behind + w1 * here + (w2 * ahead + w3 * beyond)
+            following = decay * V + drive  # tau V' + V = 2 p, Sec. IV
+            force = 2.0 * ahead - following
+            if force < threshold:
+                done = n
+                break
+            V = following
+            downward[n] = V - ahead
+            stress = leaving[n] - coming[n] + offset
+            power = stress * (leaving[n] + coming[n])
+            work += power
+            peak_force, peak_stress = max(peak_force, force), max(peak_stress, abs(stress))
+        else:
+            time = (start + n) * step
+            if gap + time * (speed - fall * time) < twice * area:
+                done = n
+                break
+            downward[n] = ahead + offset
+        total, behind, here, ahead = area, here, ahead, beyond
     s.cell += done
     s.velocity, s.sum = V, total
     if s.events == 0:
         s.power_sum, s.power = work, power
         s.peak_contact_force, s.peak_plate_stress = peak_force, peak_stress
-    return done
-
-
-@subroutine
-def _run_in_flight(s, waves, count):
-    """Advance by up to `count` steps, stopping before a landing."""
-    first, N, offset = s.cell - s.base, s.steps, s.gravity_offset
-    top, downward = waves[0, first - N + 1:], waves[1, first + 1:]
-    twice, height = 2.0 * s.step, s.launch_height - s.top
-    speed, fall = s.launch_velocity - offset, 0.5 * s.gravity
-    start = s.cell + 1 - s.launch_cell - s.launch_offset
-    here, total = waves[0, first - N], s.sum
-    done = count
-    for n in range(count):
-        ahead = top[n]
-        area = total + 0.5 * (here + ahead)
-        time = (start + n) * s.step
-        if height + time * (speed - fall * time) < twice * area:
-            done = n
-            break
-        downward[n] = ahead + offset
-        total, here = area, ahead
-    s.cell += done
-    s.sum = total
     return done
 
 
@@ -462,9 +433,7 @@ def _march(s, waves, path, events, goal):
         count = s.filled - s.cell
         if s.contact:
             count = min(count, max(0, s.kink - 1 - s.cell))
-            done = _run_in_contact(s, waves, count)
-        else:
-            done = _run_in_flight(s, waves, count)
+        done = _run(s, waves, count)
         while s.events == 0 and s.compared <= s.cell:
             _compare_strains_at(s, waves, s.compared)
             s.compared += s.stride
@@ -482,14 +451,9 @@ def _compare_strains_at(s, waves, cell):
 
 
 @subroutine
-def _write_loads(s):
-    """Write loads and work in SI units."""
-    force, stress = s.peak_contact_force, s.peak_plate_stress
-    wave_speed = s.thickness / (s.steps * s.step)
-    s.loads[0] = max(s.peak_strain, stress, force + s.gravity_offset) / wave_speed
-    s.loads[1], s.loads[2] = force / s.relaxation, stress * s.impedance
-    work = s.first_work if s.events > 0 else s.power_sum + (s.offset - 0.5) * s.power
-    s.work = s.impedance * s.step * work
+def _write_work(s, offset):
+    """Write the work of the plate until some steps after `s.cell`."""
+    s.work = s.impedance * s.step * (s.power_sum + (offset - 0.5) * s.power)
 
 
 @kernel
@@ -507,7 +471,12 @@ def _advance(core, waves, path, events, time):
     if s.events <= events.shape[0]:
         s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
         _cross_step(s, waves, events, s.offset)
-    _write_loads(s)
+    if s.events == 0:
+        _write_work(s, s.offset)
+    force, stress, strain = s.peak_contact_force, s.peak_plate_stress, s.peak_strain
+    wave_speed = s.thickness / (s.steps * s.step)
+    s.loads[0] = max(strain, stress, force + s.gravity_offset) / wave_speed
+    s.loads[1], s.loads[2] = force / s.relaxation, stress * s.impedance
     if s.events > events.shape[0]:
         return stepper.TOO_MANY_EVENTS
     i = goal - s.base - s.steps
@@ -523,9 +492,16 @@ def _advance(core, waves, path, events, time):
     return s.events
 
 
+@inlined
+def _between(wave, index):
+    """Interpolate between grid points along a line."""
+    j = np.uintp(index)  # unsigned, so that no index counts from the end
+    return wave[j] + (wave[j + np.uintp(1)] - wave[j]) * (index - j)
+
+
 @kernel
 def _read_layer(core, waves, out):
-    """Read heights, velocities, forces and perhaps strains of the layer from plate to top."""
+    """Read heights, velocities, forces and strains of the layer from plate to top."""
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
@@ -535,15 +511,10 @@ def _read_layer(core, waves, out):
     waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / offset
     last = force.size - 1
     spacing, start = s.steps / last, i - s.steps - 1
-    p_wave, m_wave = waves[0, start:], waves[1, start:]
     at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
     for n in range(last + 1):
-        index = at_plate - spacing * n
-        j = np.uintp(index)
-        p = p_wave[j] + (p_wave[j + np.uintp(1)] - p_wave[j]) * (index - j)
-        index = at_top + spacing * n
-        j = np.uintp(index)
-        m = m_wave[j] + (m_wave[j + np.uintp(1)] - m_wave[j]) * (index - j)
+        p = _between(waves[0, start:], at_plate - spacing * n)
+        m = _between(waves[1, start:], at_top + spacing * n)
         velocity[n] = p + m
         force[n] = p - m + s.gravity_offset
     for end in range(2):
@@ -561,8 +532,7 @@ def _read_layer(core, waves, out):
     error = (high - low - s.thickness + stretch * squeezed) / last
     for n in range(last + 1):
         height[n] = low + n * (cell + error) - stretch * height[n]
-        if out.shape[0] > 3:
-            out[3, n] = -force[n] * s.steps * s.step / s.thickness
+        out[3, n] = -force[n] * s.steps * s.step / s.thickness
         force[n] *= s.impedance
 
 
@@ -571,21 +541,8 @@ _advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64
 _read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
 
 
-def steps_per_crossing(rig: Rig) -> int:
-    r"""
-    Choose the number of steps per crossing of the wave in real time.
-
-    It is 512, or more where the relaxation time or the plate's period is short, or less where
-    steps would be more than `MAX_STEP_RATE` in a second. Errors in :math:`t f` and
-    :math:`V / (A \omega)`: 1e-6 at the first release, and 1e-3 at the next four events of 95 % of
-    random rigs. ValueError, with a feasible value, if `MAX_STEPS` or `MAX_STEP_RATE` are too few.
-
-    Examples
-    --------
-    >>> steps_per_crossing(Rig())
-    512
-
-    """
+def _default_steps(rig: Rig) -> int:
+    """Choose the steps per crossing in real time, or refuse the rig with a feasible value."""
     slowest = _FEWEST_STEPS / rig.crossing_time
     stepper.require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
     limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
@@ -603,7 +560,7 @@ def _make_waves(steps: int) -> Floats:
 
 
 class WaveStepper(Stepper):
-    """
+    r"""
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
 
     Parameters
@@ -611,7 +568,10 @@ class WaveStepper(Stepper):
     rig, is_measured, field_points
         As for `throw.make_stepper`.
     steps : int, optional
-        Per crossing of the wave, 16 to `MAX_STEPS`; the default is `steps_per_crossing`.
+        Per crossing of the wave, 16 to `MAX_STEPS`; by default 512, or more where the relaxation
+        time or the plate's period is short, but at most `MAX_STEP_RATE` in a second. The default
+        has errors of 1e-6 at the first release, and 1e-3 at the next four events of 95 % of rigs,
+        in :math:`t f` and :math:`V / (A \omega)`.
 
     Raises
     ------
@@ -644,25 +604,18 @@ class WaveStepper(Stepper):
                 'travelling waves need a layer of one material, linear and without loss, '
                 f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
             )
-        steps = steps_per_crossing(rig) if steps is None else steps
+        steps = _default_steps(rig) if steps is None else steps
         self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
         self.cost = _STEP_COST * self.steps / rig.crossing_time
-        super().__init__(
-            rig, RECORD, _make_waves(self.steps), is_measured=is_measured,
-            field_points=field_points,
-        )
+        core = np.zeros(3, RECORD)
         _prepare(
-            self._core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
+            core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
             rig.gravity, rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
         )
-        self._start(_advance_compiled(), _read_layer_compiled())
-
-    def _copy_layer(self, origin: Stepper) -> None:
-        """Copy the waves that are still on their way."""
-        grid = origin._core[0]
-        kept = int(grid['cell'] - grid['base']) - self.steps
-        first, last = max(kept - _PAD, 0), int(grid['filled'] - grid['base']) + 2
-        self._layer[:, first:last] = origin._layer[:, first:last]
+        super().__init__(
+            rig, core, _make_waves(self.steps), (_advance_compiled(), _read_layer_compiled()),
+            is_measured=is_measured, field_points=field_points,
+        )
 
 
 def throw_batch(

@@ -379,11 +379,10 @@ class _Programme:
         cells = SEARCH_CELLS if linear.needs_cells and not self._is_fine else None
         stepper = make_stepper(heavy, cells=cells, field_points=_HEIGHTS)
         states = np.empty((_FINER * self._count, 7))
-        strains, layer = np.empty((len(states), _HEIGHTS)), np.empty((4, _HEIGHTS))
+        strains = np.empty((len(states), _HEIGHTS))
         for n, time in enumerate((self._step / _FINER * np.arange(len(states))).tolist()):
             stepper.advance_to(time)
-            stepper.read_layer(layer)
-            states[n], strains[n] = stepper.state, layer[3]
+            states[n], strains[n] = stepper.state, stepper.read_layer()[3]
         states[:, PROJECTILE_FORCE] -= rig.projectile.mass * heavy.gravity
         return states, strains
 

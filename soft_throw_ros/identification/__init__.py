@@ -7,10 +7,8 @@ Identification of a rig from measured tracks: parameters with their uncertaintie
 with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as `fit_description`
 says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
 `layer_search`, which also tries other minima; a loss is tried, and systematic errors, which the
-tracks hardly show, are added to the errors (`systematics`). `fit_warnings` finds reasons to doubt
-a fit.
-`forward` is the only module that calls the steppers of the core. `ejection` computes the first
-release.
+tracks hardly show, are added to the errors (`systematics`).
+`ejection` computes the first release. Only `forward` calls the steppers of the core.
 
 This package may import `twin`, `design` and the packages below them.
 """

@@ -9,44 +9,26 @@ from typing import NamedTuple
 import numpy as np
 from soft_throw_ros.core.rig import values_of
 from soft_throw_ros.core.throw import throw_many
-from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import Estimate, fit_warnings, FitError
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import with_floor
 
-_DRAWS = 400
-"""Number of rigs drawn from the covariance of a fit; the errors are then known to 4 %."""
-
-_MIN_PROBABILITY = 0.025
-"""
-Smallest probability of a reported alternative.
-
-The intervals of 95 % of the result and its alternatives then contain the truth with 95 %.
-"""
+_DRAWS = 400  # number of rigs drawn from the covariance of a fit; the errors are then known to 4 %
+_MIN_PROBABILITY = 0.025  # of a reported alternative; intervals of 95 % then hold with 95 %
 
 GOOD_ENOUGH = 0.01
-"""
-Relative error of the energy transfer that is small enough to choose a layer. [-]
-
-A better layer increases the energy transfer by some 10 %; one of 1 % does not change the choice.
-"""
+"""Relative error of the energy transfer, of which a better layer gains some 10 %. [-]"""
 
 
 class Release(NamedTuple):
     """A first release with standard errors, after some number of echoes of the wave."""
 
-    time: Estimate
-    """Ejection time, since the plate began to move. [s]"""
-    speed: Estimate
-    """[m/s]"""
-    peak_plate_speed: Estimate
-    """[m/s]"""
-    energy_transfer: Estimate
-    """[-]"""
-    echoes: int = 0
-    """Number of echoes more than in the most likely rig; negative if fewer."""
-    probability: float = 1.0
-    """Share of such releases among the rigs drawn from the errors of the fit. [-]"""
+    time: Estimate  # ejection time, since the plate began to move [s]
+    speed: Estimate  # [m/s]
+    peak_plate_speed: Estimate  # [m/s]
+    energy_transfer: Estimate  # [-]
+    echoes: int = 0  # number of echoes more than in the most likely rig; negative if fewer
+    probability: float = 1.0  # share among the rigs drawn from the errors of the fit [-]
 
 
 class Ejection(NamedTuple):
@@ -59,17 +41,15 @@ class Ejection(NamedTuple):
     """
 
     first: Release
-    alternatives: tuple[Release, ...] = ()
-    """Releases after another number of echoes, the most probable one first."""
+    alternatives: tuple[Release, ...] = ()  # the most probable one first
 
 
 def ejection_of(result: RigFit) -> Ejection:
     r"""
     Compute the first release of a fitted rig; raise FitError if there is none.
 
-    Errors are the deviations of rigs that are drawn from the covariance of the fit and the floors
-    of its parameters, since :math:`t_e` and :math:`\alpha` jump and have no derivative there, and
-    the systematic errors of the release.
+    Errors are the systematic ones of a release, and the deviations of rigs that are drawn from
+    the errors of the fit, since :math:`t_e` and :math:`\alpha` have no derivative at a jump.
     """
     rigs = [result.rig, *result.draw(_DRAWS)]
     drawn = [values_of(rig) for rig in rigs]

@@ -27,25 +27,19 @@ LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
-START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
-OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
+OWN = START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
 """Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
 
-DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != 'layer.loss_tangent')
+DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != LOSS)
 """Parameters whose defaults belong to another rig; the default of the loss is none."""
 
 NUISANCE_PARAMETERS = {
-    'plate.drift': 0.0,
+    'plate.drift': 0.0,  # of heights over a record, over the amplitude
     'projectile.drift': 0.0,
-    'projectile.scale': 1.0,
-    'projectile.delay': 0.0,
+    'projectile.scale': 1.0,  # measured over true height
+    'projectile.delay': 0.0,  # of its measurement [s]
 }
-"""
-Nuisance parameters of a bench, and their values without it.
-
-`drift` is the drift of heights over a record, over the amplitude. `scale` is the
-measured over the true height of a projectile, and `delay` the delay of its measurement [s].
-"""
+"""Nuisance parameters of a bench, and their values without it."""
 
 DEFAULT_FREE = (*ENGINE, 'layer.wave_speed')
 """Parameters that are fitted by default; the thickness of the layer is usually measured."""
@@ -56,16 +50,11 @@ _KEYS = ('free', 'fixed', 'prior', 'per_throw', 'topic')
 class Treatment(NamedTuple):
     """Treatment of a parameter by a fit."""
 
-    is_varied: bool
-    """Whether the fit changes it."""
-    value: float | None = None
-    """Value, or mean of the prior; None for the value of the rig."""
-    error: float | None = None
-    """Standard error of the prior; None without a prior."""
-    is_relative: bool = False
-    """Whether the error is relative to the value."""
-    is_per_throw: bool = False
-    """Whether each throw has a value of its own."""
+    is_varied: bool  # whether the fit changes it
+    value: float | None = None  # value, or mean of the prior; None for the value of the rig
+    error: float | None = None  # standard error of the prior; None without a prior
+    is_relative: bool = False  # whether the error is relative to the value
+    is_per_throw: bool = False  # whether each throw has a value of its own
 
     @property
     def is_free(self) -> bool:
@@ -79,14 +68,10 @@ FREE = Treatment(True)
 FIXED = Treatment(False)
 """Treatment of a parameter that is known exactly, at the value of the rig."""
 
-
-DEFAULTS: Mapping[str, Treatment] = dict.fromkeys(
-    (*PARAMETERS, *NUISANCE_PARAMETERS), FIXED
-) | {
-    'engine.frequency': FREE,
-    'engine.damping_ratio': FREE,
+DEFAULTS: Mapping[str, Treatment] = {
+    **dict.fromkeys((*PARAMETERS, *NUISANCE_PARAMETERS), FIXED),
+    **dict.fromkeys(DEFAULT_FREE, FREE),
     'engine.amplitude': FREE._replace(is_per_throw=True),
-    'layer.wave_speed': FREE,
     'layer.thickness': Treatment(True, error=1e-4),
     'layer.diameter': Treatment(True, error=1e-4),
     'projectile.mass': Treatment(True, error=0.01, is_relative=True),
@@ -107,12 +92,9 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 class FitDescription:
     """The treatments of all parameters of a fit; raise ValueError for an unknown name."""
 
-    parameters: Mapping[str, Treatment] = field(default_factory=dict)
-    """Treatments of some parameters; the others have their `DEFAULTS`."""
-    topic: str | None = None
-    """Topic to read from bags; needed if several topics have a plate."""
-    assumed: tuple[str, ...] = ()
-    """Parameters that are held at the values of another rig, because nobody stated them."""
+    parameters: Mapping[str, Treatment] = field(default_factory=dict)  # others have `DEFAULTS`
+    topic: str | None = None  # topic to read from bags; needed if several topics have a plate
+    assumed: tuple[str, ...] = ()  # held at the values of another rig, as nobody stated them
 
     def __post_init__(self) -> None:
         for name in self.parameters:
@@ -128,10 +110,9 @@ class FitDescription:
         """
         tree = read_yaml(path)
         try:
-            treatments = _read_treatments(tree)
+            return cls(_read_treatments(tree), str(tree['topic']) if 'topic' in tree else None)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from None
-        return cls(treatments, str(tree['topic']) if 'topic' in tree else None)
 
     def change(self, changes: Mapping[str, Treatment]) -> FitDescription:
         """Change the treatment of some parameters."""
@@ -139,22 +120,16 @@ class FitDescription:
 
     def assume(self, stated: Collection[str]) -> FitDescription:
         """Hold the parameters that a fit needs and that nobody stated, see `assumed`."""
-        treatments = {
-            name: self.treatment(name) for name in DEFAULT_IS_ANOTHER_RIG if name not in stated
-        }
-        assumed = [
-            name for name, treatment in treatments.items()
+        unstated = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
+        assumed = tuple(
+            name for name, treatment in zip(unstated, map(self.treatment, unstated), strict=True)
             if treatment.value is None and not treatment.is_free
-        ]
-        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=tuple(assumed))
+        )
+        return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=assumed)
 
     def treatment(self, name: str) -> Treatment:
         """Return the treatment of a parameter."""
         return self.parameters.get(name, DEFAULTS[name])
-
-    def is_free(self, name: str) -> bool:
-        """Return whether the fit determines a parameter without a prior."""
-        return self.treatment(name).is_free
 
     def value(self, name: str, rig: Rig) -> float:
         """Return the value of a parameter, or the mean of its prior, or the value of the rig."""
@@ -206,11 +181,10 @@ def _read_treatments(tree: Mapping[str, Any]) -> dict[str, Treatment]:
     return treatments
 
 
-def _section(tree: Mapping[str, Any], key: str, kind: type) -> Any:
+def _section(tree: Mapping[str, Any], key: str, kind: type[Any]) -> Any:
     """Return a list, or the keys of a mapping, of names of parameters."""
-    section = tree.get(key, kind())
-    is_right = isinstance(section, kind)
-    if not is_right:
+    section: Any = tree.get(key, kind())
+    if not isinstance(section, kind):
         raise ValueError(f'{key} must be a {kind.__name__} of names, got {section!r}')
     for name in section:
         _check_name(name)

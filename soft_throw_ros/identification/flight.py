@@ -10,14 +10,9 @@ from soft_throw_ros.core.plate import PlateMotion
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.tracks import Track, TrackError
 
-_STANDARD = 0.683
-"""Probability of the interval between one standard error below and above a value. [-]"""
-
-_FAST = 0.5
-"""Smallest speed of the plate that shows its delay, relative to its peak speed. [-]"""
-
-_FOLLOWED = 0.1
-"""Largest median distance of a plate from its command, relative to the range of heights. [-]"""
+_STANDARD = 0.683  # probability of the interval between one standard error below and above a value
+_FAST = 0.5  # smallest speed of the plate that shows its delay, relative to its peak speed
+_FOLLOWED = 0.1  # largest median distance of a plate from its command, over its range of heights
 
 
 def flight_speed(track: Track, *, gravity: float) -> Estimate:

@@ -18,7 +18,6 @@ import math
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
@@ -32,27 +31,17 @@ from soft_throw_ros.identification.fit_description import (
 )
 from soft_throw_ros.identification.least_squares import Alternative, Fit, FitError
 from soft_throw_ros.identification.rig_model import RigModel
-from soft_throw_ros.identification.tracks import Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import Floats, Track
 
 _SPEED, _THICKNESS = 'layer.wave_speed', 'layer.thickness'
 
 MAX_EXCESS = 9.0
 """Largest increase of chi squared at another minimum that is reported. [-]"""
 
-_WAVE_SPEEDS = np.geomspace(2.0, 100.0, 121).tolist()
-"""Wave speeds of the grid; early minima are some percent wide. [m/s]"""
-
-_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)
-"""Thicknesses of the grid, relative to the given one. [-]"""
-
-_WINDOWS = (0.35, 0.7, 2.0)
-"""Times of the heights that the grid is compared with, since the start. [plate periods]"""
-
-_INITIAL_LOSS = 0.05
-"""Initial loss tangent of a fit of a stated loss. [-]"""
-
+_WAVE_SPEEDS = np.geomspace(2.0, 100.0, 121).tolist()  # of the grid; minima are wider [m/s]
+_THICKNESSES = (0.6, 0.8, 1.0, 1.25, 1.6)  # thicknesses of the grid, relative to the given one
+_WINDOWS = (0.35, 0.7, 2.0)  # ends of the heights for the grid since the start [plate periods]
+_INITIAL_LOSS = 0.05  # initial loss tangent of a fit of a stated loss
 _MAX_THROWS = 3  # largest number of throws in the search
 _MAX_SAMPLES = 60  # largest number of samples of a track in a window
 _MAX_MINIMA = 2  # largest number of minima of a window
@@ -134,13 +123,13 @@ def _is_separate(fit: Fit, other: Fit) -> bool:
 
 def _best_of_grid(model: RigModel) -> list[Rig]:
     """Return the rigs at the lowest minima of each window, without loss."""
-    start, rig = model.start(), model.rig
-    if model.description.is_free(LOSS):
+    start, rig, treatment = model.start(), model.rig, model.description.treatment
+    if treatment(LOSS).is_free:
         rig = changed_rig(rig, {LOSS: 0.0})
     speeds, thicknesses = [rig.layer.wave_speed], [rig.layer.thickness]
-    if model.description.is_free(_SPEED):
+    if treatment(_SPEED).is_free:
         speeds = sorted([*_WAVE_SPEEDS, *speeds])  # the given one may be right
-    if model.description.is_free(_THICKNESS):
+    if treatment(_THICKNESS).is_free:
         thicknesses = [factor * thicknesses[0] for factor in _THICKNESSES]
     minima: list[list[tuple[float, tuple[float, float]]]] = [[] for _ in _WINDOWS]
     for thickness in thicknesses:
@@ -148,8 +137,7 @@ def _best_of_grid(model: RigModel) -> list[Rig]:
             _mismatches(model, start, changed_rig(rig, {_THICKNESS: thickness, _SPEED: speed}))
             for speed in speeds
         ])
-        edge = np.full((1, len(_WINDOWS)), math.inf)
-        padded = np.concatenate([edge, row, edge])
+        padded = np.pad(row, ((1, 1), (0, 0)), constant_values=math.inf)
         is_minimum = (row <= padded[:-2]) & (row <= padded[2:]) & np.isfinite(row)
         for index, window in zip(*np.nonzero(is_minimum), strict=True):
             minima[window].append((float(row[index, window]), (thickness, speeds[index])))
@@ -166,7 +154,8 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
     for number, body, track in model.projectiles:
         changed = changed_rig(model.rig_of(start, number), values_of(rig, LAYER))
         since = (track.time - model.value(start, START, number)) * rig.engine.frequency
-        chosen = [_spread(np.flatnonzero(since <= window)) for window in _WINDOWS]
+        early = [np.flatnonzero(since <= window) for window in _WINDOWS]
+        chosen = [some[:: max(1, -(-some.size // _MAX_SAMPLES))] for some in early]
         union = np.unique(np.concatenate(chosen))
         try:
             path = model.trajectory(start, number, body, track.time[union], changed)
@@ -182,14 +171,9 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
     return totals
 
 
-def _spread(indices: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return at most `_MAX_SAMPLES` of some indices, evenly."""
-    return indices[:: max(1, -(-indices.size // _MAX_SAMPLES))]
-
-
 def _follow_minimum(model: RigModel, rig: Rig) -> Fit:
     """Fit the layer and the projectile in growing windows, with the plates as they are."""
-    if model.description.is_free(LOSS):
+    if model.description.treatment(LOSS).is_free:
         rig = changed_rig(rig, {LOSS: _INITIAL_LOSS})
     model = replace(model, rig=rig)
     only = [
@@ -199,8 +183,7 @@ def _follow_minimum(model: RigModel, rig: Rig) -> Fit:
     found: dict[str, float] = {}
     for window in _WINDOWS[1:]:
         part = model.cut_after(window / rig.engine.frequency)
-        if not part.projectiles:
-            part = model
+        part = part if part.projectiles else model
         fit = part.fit(part.start(found), only=only, max_evaluations=_MAX_EVALUATIONS)
         found = fit.by_name
     return fit

@@ -22,15 +22,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, sparse
-from soft_throw_ros.identification.tracks import Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import Floats, Track
 
 _LIMIT = 5.0  # residual of an outlier [noise]; by chance once in 2e6
 _NORMAL = 1.4826  # standard deviation of normal numbers over their median deviation
@@ -38,6 +36,8 @@ _TOLERANCE = 1e-8  # relative tolerance of chi squared: 1e-2 of an error, as exa
 _MAX_DENSE_PARAMETERS = 40  # more ones are of many throws, and their Jacobian is sparse
 _MISMATCH = 9.0  # excess of chi squared per degree, times the root of the degrees; by chance 1e-4
 _SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
+_INSEPARABLE = 0.99  # correlation from which on two parameters cannot be separated
+_CONTRADICTION = 4.0  # deviation from a prior beyond which chance is unlikely [standard errors]
 
 
 class FitError(ValueError):
@@ -72,10 +72,8 @@ class TrackResidual:
 
     name: str
     track: Track
-    fitted: Floats
-    """Heights of the model at the same times [m]."""
-    limit: float
-    """Residual of an outlier. [standard deviations of the sample]"""
+    fitted: Floats  # heights of the model at the same times [m]
+    limit: float  # residual of an outlier [standard deviations of the sample]
 
     @property
     def values(self) -> Floats:
@@ -86,7 +84,7 @@ class TrackResidual:
     def outliers(self) -> list[Outlier]:
         """Samples beyond the limit."""
         is_far = np.abs(self.scaled) > self.limit
-        pairs = zip(self.track.time[is_far].tolist(), self.values[is_far].tolist(), strict=True)
+        pairs = np.stack([self.track.time, self.values], axis=1)[is_far].tolist()
         return [Outlier(*pair) for pair in pairs]
 
     @property
@@ -117,23 +115,14 @@ class Fit:
     """Parameters that were fitted to tracks."""
 
     names: tuple[str, ...]
-    values: Floats
-    """Fitted values, shape (n,), in SI units."""
+    values: Floats  # fitted values, shape (n,), in SI units
     covariance: Floats
-    chi2: float
-    """
-    Sum of the squared residuals over their noise, each at most that of an outlier, and of
-    deviations from priors over errors.
-    """
-    dof: int
-    """Degrees of freedom: samples, and parameters known with an error, less parameters."""
+    chi2: float  # sum of squared residuals and deviations from priors, over their errors
+    dof: int  # degrees of freedom: samples, and parameters known with an error, less parameters
     residuals: tuple[TrackResidual, ...]
-    known: Mapping[int, Estimate] = field(default_factory=dict)
-    """Priors of some parameters, by their indices."""
-    alternatives: tuple[Alternative, ...] = ()
-    """Other minima that are hardly worse; the covariance spans them."""
-    is_converged: bool = True
-    """Whether the solver ended before its limit of evaluations."""
+    known: Mapping[int, Estimate] = field(default_factory=dict)  # priors, by indices
+    alternatives: tuple[Alternative, ...] = ()  # other minima, spanned by the covariance
+    is_converged: bool = True  # whether the solver ended before its limit of evaluations
 
     def __getitem__(self, name: str) -> Estimate:
         index = self.names.index(name)
@@ -185,19 +174,14 @@ class FitModel:
 
     names: tuple[str, ...]
     predict: Callable[[Floats], Floats]
-    jacobian: Callable[[Floats], Floats] | None = None
-    """Derivatives of the heights; by default, differences between values of order 1."""
+    jacobian: Callable[[Floats], Floats] | None = None  # None: differences of values near 1
     low: Floats
     high: Floats
-    known: Mapping[int, Estimate] = field(default_factory=dict)
-    """Priors of some parameters, by their indices."""
+    known: Mapping[int, Estimate] = field(default_factory=dict)  # priors, by indices
 
 
 def fit_tracks(
-    model: FitModel,
-    start: Floats,
-    tracks: Sequence[tuple[str, Track]],
-    *,
+    model: FitModel, start: Floats, tracks: Sequence[tuple[str, Track]], *,
     max_evaluations: int = 100,
 ) -> Fit:
     """
@@ -282,3 +266,42 @@ def _covariance(jacobian: Floats) -> Floats:
     strengths = np.maximum(strengths, 1e-12 * strengths[0])  # limits the errors
     spread = directions.T / strengths
     return np.asarray((spread @ spread.T) / np.outer(sizes, sizes))
+
+
+def fit_warnings(fit: Fit) -> list[str]:
+    """Return all reasons to doubt a fit: each enlarges an error, or a value may be wrong."""
+    warnings = []
+    speeds = [index for index, name in enumerate(fit.names) if 'wave_speed' in name]
+    for values, excess in fit.alternatives:
+        change = np.abs(values - fit.values) / np.maximum(np.abs(fit.values), 1e-300)
+        index = speeds[0] if speeds else int(change.argmax())
+        warnings.append(
+            f'{fit.names[index]} may as well be {values[index]:.5g} (chi squared is larger by '
+            f'{excess:.1f} there); the errors span both'
+        )
+    # Parameters of a single one of several throws have its number in brackets
+    free = [i for i, name in enumerate(fit.names) if name[-1] != ']' and i not in fit.known]
+    warnings += [
+        f'{fit.names[i]} and {fit.names[j]} are hardly separated by these tracks (correlation '
+        f'{fit.correlation[i, j]:.4f}): hold one'
+        for i, j in combinations(free, 2) if abs(fit.correlation[i, j]) > _INSEPARABLE
+    ]
+    for index, prior in fit.known.items():
+        deviation = float(abs(fit.values[index] - prior.value)) / prior.error
+        if deviation > _CONTRADICTION:
+            warnings.append(
+                f'{fit.names[index]} is found {deviation:.1f} errors from the expected {prior}: a '
+                'given value may be wrong'
+            )
+    if fit.is_mismatch:
+        ratios = [float(np.sqrt(np.mean(residual.usual**2))) for residual in fit.residuals]
+        worst = fit.residuals[int(np.argmax(ratios))]
+        warnings.append(
+            f'the residuals of {worst.name} are {max(ratios):.2g} times the noise: the model '
+            'leaves out something (see --figure); the errors of all results include it'
+        )
+    if not fit.is_converged:
+        warnings.append(
+            'the solver stopped at its limit before it converged: the values may be wrong'
+        )
+    return warnings

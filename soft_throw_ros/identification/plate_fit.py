@@ -20,19 +20,15 @@ import math
 from operator import itemgetter
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.fit_description import ENGINE, PLATE_ZERO, START
 from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
-from soft_throw_ros.identification.tracks import Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import Floats, Track
 
 NAMES = (*ENGINE, START, PLATE_ZERO)
 """Parameters of the fit, by their names in a fit of a whole rig."""
 
 MAX_DAMPING_RATIO = 0.99
-"""Largest damping ratio."""
 
 _DAMPING_RATIOS = (0.0, 0.03, 0.1, 0.25, 0.5, 0.8)  # damping ratios of the table
 _MAX_SAMPLES = 4096  # largest number of samples in the computation of the table
@@ -48,15 +44,15 @@ def fit_plate(track: Track) -> Fit:
 
     Raise FitError if the track does not look like such a motion; the message has the difference.
     """
-    start = _start(track.without_spikes())
+    usual = track.without_spikes()
+    start = _start(usual)
     origin = np.array([0.0, 0.0, 0.0, start[3], start[4]])  # then all values are of order 1
 
     def position(values: Floats, time: Floats) -> Floats:
         frequency, damping_ratio, amplitude, start_time, offset = (values + origin).tolist()
+        amplitude = max(amplitude, 1e-15)  # may touch 0 during the search
         motion = Underdamped(
-            frequency=frequency,
-            damping_ratio=damping_ratio,
-            amplitude=max(amplitude, 1e-15),  # may touch 0 during the search
+            frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude
         )
         return np.asarray(offset + motion.position(time - start_time))
 
@@ -74,7 +70,6 @@ def fit_plate(track: Track) -> Fit:
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
-    usual = track.without_spikes()
     residual = float(np.std(usual.position - position(best.values, usual.time)))
     if residual > max(_MAX_MISMATCH * amplitude.value, 5.0 * track.noise):
         raise FitError(
@@ -104,9 +99,8 @@ def _start(track: Track) -> Floats:
 def _frequencies(time: Floats, damping: float) -> Floats:
     """Return frequencies as dense as the damping and the length of the track require."""
     duration = float(time[-1] - time[0])
-    lowest = _PERIODS_SEEN / duration
     highest = 1.0 / (_SAMPLES_PER_PERIOD * (time[1] - time[0]))
-    chosen = [lowest]
+    chosen = [_PERIODS_SEEN / duration]
     while chosen[-1] < highest:
         chosen.append(chosen[-1] + max(0.25 / duration, 0.3 * damping * chosen[-1]))
     return np.array(chosen)
@@ -122,10 +116,9 @@ def _best_of(
     transform = np.fft.rfft(height - mean, size)
     best: tuple[float, Floats] = (-1.0, np.zeros(len(NAMES)))
     latest = count - 4  # a later start leaves too few samples
-    since = time - time[0]
     unit = Underdamped(frequency=1.0, damping_ratio=damping, amplitude=1.0)
     for some in np.array_split(frequencies, -(-frequencies.size * size // _BLOCK)):
-        shapes = unit.position(np.outer(some, since))
+        shapes = unit.position(np.outer(some, time - time[0]))
         spectra = transform * np.conj(np.fft.rfft(shapes, size))
         products = np.fft.irfft(spectra, size)[:, :latest]
         sums = np.cumsum(shapes, axis=1)[:, ::-1][:, :latest]

@@ -5,18 +5,14 @@ A whole rig from recorded throws: plate, layer, and the start of each throw.
 
 Notes
 -----
-Both tracks of all throws are compared with one model: Eq. (D2) for the plate, and for the
-projectile the model of the twin: travelling waves, or cells in a layer with internal loss.
-Positions are continuous where ejection times jump, because the layer catches up at once with a
-projectile that has only just left. The fit therefore uses positions only, and jumps of the
-ejection time do no harm.
+Both tracks of all throws are compared with Eq. (D2) for the plate, and for the projectile with
+the model of the twin. Where ejection times jump, positions are continuous, because the layer
+catches up at once with a projectile that has only just left; so the fit uses positions only.
 
 The tracks constrain three time scales of the layer: :math:`t_s = L_s / c_s`, :math:`\tau = m /
 (\rho_s S c_s)`, and that of the loss. Mass, density and section enter by :math:`\tau` alone, so
-they must be known, and their errors are part of the error of the wave speed. Wave speed and
-thickness are separate only if the tracks show waves. A thin, light layer is a spring and shows no
-more than :math:`t_s \tau`; a thick, heavy one shows :math:`t_s`. `fit_warnings` reports
-parameters that are not separate.
+they must be known. A thin, light layer is a spring and shows no more than :math:`t_s \tau`; a
+thick, heavy one shows :math:`t_s`.
 
 """
 
@@ -29,7 +25,6 @@ from functools import cached_property
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
@@ -50,8 +45,6 @@ from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.systematics import FLOORS, growth_by, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
-Floats = NDArray[np.float64]
-
 _MIN_NOISE_RATIO = 0.1  # smallest noise of a track, over the largest noise of all tracks
 _MODEL_ERROR = 5e-6  # smallest noise of a track, over the range of heights: error of the models
 _STIFFENING = 0.4  # error of the wave speed at rest, over the plate's speed, which causes strain
@@ -62,8 +55,7 @@ _MAX_TRIAL_EVALUATIONS = 8  # largest number of evaluations of the model with it
 _MAX_LOSS_EVALUATIONS = 120  # the same if they are promising
 _IN_FLIGHT = 0.97  # share of the time until the landing that a fit uses
 
-_SECONDS_PER_THROW = 60.0
-"""Processor time of a fit; it includes the compilation of kernels. [s]"""
+_SECONDS_PER_THROW = 60.0  # processor time of a fit; it includes the compilation of kernels [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +63,8 @@ class RigFit:
     """A rig fitted to throws."""
 
     model: RigModel
-    fit: Fit
-    """
-    Fit of all varied parameters. Each throw adds its `start_time` and the heights at rest
-    `plate_offset` and `projectile_offset`. The name of a value of one of several throws ends with
-    its number in brackets, from 1.
-    """
-    is_complete: bool = True
-    """Whether other minima and a loss were tried within the time of the fit."""
+    fit: Fit  # of all varied parameters, and of start and heights at rest of each throw
+    is_complete: bool = True  # whether there was time to try other minima and a loss
 
     @cached_property
     def rig(self) -> Rig:
@@ -95,17 +81,19 @@ class RigFit:
 
     def terms(self) -> dict[str, Estimate]:
         """Return the other shared parameters, without starts and heights at rest."""
-        shared = {name for name, throw in self.model.parameters if throw is None}
-        return {n: self.fit[n] for n in self.fit.names if n in shared and n not in PARAMETERS}
+        return {
+            name: self.fit[name] for name, throw in self.model.parameters
+            if throw is None and name not in PARAMETERS
+        }
 
     def estimate(self, name: str) -> Estimate:
         """Return a fitted parameter of the rig, the mean if each throw has its own."""
         indices = self.model.indices_of(name)
         error = math.sqrt(float(self.fit.covariance[np.ix_(indices, indices)].mean()))
         found = Estimate(values_of(self.rig, [name])[name], error)
-        known = [self.fit.known[index] for index in indices if index in self.fit.known]
         # A value that rests on its prior has the error of the prior
-        is_prior = any(error > _PRIOR_SHARE * prior.error for prior in known)
+        known = [self.fit.known[index].error for index in indices if index in self.fit.known]
+        is_prior = any(error > _PRIOR_SHARE * prior for prior in known)
         return found if is_prior else with_floor(name, found, self.growth)
 
     def rest_wave_speed(self) -> Estimate:
@@ -145,33 +133,19 @@ class RigFit:
 
 
 def fit_rig(
-    throws: Sequence[ThrowTracks],
-    rig: Rig,
-    description: FitDescription | None = None,
+    throws: Sequence[ThrowTracks], rig: Rig, description: FitDescription | None = None
 ) -> RigFit:
     """
-    Fit a rig to the tracks of one throw or many.
+    Fit a rig, as it is known, to the tracks of one throw or many.
 
-    Parameters
-    ----------
-    throws : sequence of ThrowTracks
-        Tracks. If a parameter of the layer is free, at least one throw has a projectile.
-    rig : Rig
-        The rig as it is known. Free parameters need no guess, apart from the thickness, which
-        should be right to a third.
-    description : FitDescription, optional
-        Treatments of the parameters; `DEFAULTS` by default.
-
-    Raises
-    ------
-    FitError
-        If the tracks do not determine the parameters, with the reason.
-
+    Free parameters need no guess, apart from the thickness, which should be right to a third. If
+    one of the layer is free, a throw must have a projectile. FitError has the reason if the tracks
+    do not determine the parameters.
     """
     if not throws:
         raise FitError('there is no throw to fit to')
     description = description or FitDescription()
-    free = [name for name in LAYER if description.is_free(name)]
+    free = [name for name in LAYER if description.treatment(name).is_free]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
     simulator = ThrowSimulator(_SECONDS_PER_THROW * len(throws))
@@ -187,10 +161,7 @@ def fit_rig(
 
 
 def _fit_plates(
-    throws: Sequence[ThrowTracks],
-    rig: Rig,
-    description: FitDescription,
-    simulator: ThrowSimulator,
+    throws: Sequence[ThrowTracks], rig: Rig, description: FitDescription, simulator: ThrowSimulator
 ) -> RigModel:
     """Fit the plates alone, which no layer changes; return the whole model."""
     plates = []
@@ -202,7 +173,7 @@ def _fit_plates(
     engine = np.mean([plate.values[: len(ENGINE)] for plate in plates], axis=0).tolist()
     rig = changed_rig(description.prepare(rig), {
         name: value for name, value in zip(ENGINE, engine, strict=True)
-        if description.is_free(name)
+        if description.treatment(name).is_free
     })
     model = RigModel(tuple(throws), rig, description, simulator, initial={})
     return replace(model, initial={
@@ -215,8 +186,7 @@ def _with_noise(throws: Sequence[ThrowTracks]) -> list[ThrowTracks]:
     """
     Return tracks whose noise is known, none far below the others or the error of the models.
 
-    One camera measures both bodies. A very small estimate shows only a smooth motion, and this
-    track would dominate the fit.
+    A very small estimate shows only a smooth motion, whose track would dominate the fit.
     """
     tracks = [track for throw in throws for track in (throw.plate, throw.projectile) if track]
     least = max(
@@ -235,10 +205,8 @@ def _in_flight(model: RigModel) -> RigModel:
     if not model.projectiles:
         return model
     longest = max(float(track.time[-1]) - model.start_of(n) for n, _, track in model.projectiles)
-    rig = model.rig_of(model.start())
-    end = _IN_FLIGHT * model.simulator.landing_time(
-        rig, max(longest, 0.0), by_cells=model.by_cells
-    )
+    rig, until = model.rig_of(model.start()), max(longest, 0.0)
+    end = _IN_FLIGHT * model.simulator.landing_time(rig, until, by_cells=model.by_cells)
     cut = model.cut_after(end)
     if not cut.projectiles:
         raise FitError(
@@ -267,5 +235,4 @@ def _with_loss(model: RigModel, before: Fit) -> tuple[RigModel, Fit]:
         return model, before
     gain = (before.chi2 - fit.chi2) / max(1.0, fit.reduced_chi2)
     samples = sum(series.track.time.size for series in model.series)
-    is_needed = gain - math.log(samples) > _MIN_GAIN
-    return (wider, fit) if is_needed else (model, before)
+    return (wider, fit) if gain - math.log(samples) > _MIN_GAIN else (model, before)

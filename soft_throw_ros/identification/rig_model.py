@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import (
@@ -31,9 +30,7 @@ from soft_throw_ros.identification.fit_description import (
 from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO
-from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import FEWEST, Floats, ThrowTracks, Track
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     'engine.frequency': (1e-6, math.inf),
@@ -47,19 +44,12 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'projectile.mass': (1e-7, 1e3),
 }
 _UNBOUNDED = (-math.inf, math.inf)
-_STEP = 3e-4
-"""Relative step of derivatives, large against the errors of steppers. [-]"""
-
+_STEP = 3e-4  # relative step of derivatives, large against the errors of steppers
 _STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
 
-_OWN = FREE._replace(is_per_throw=True)
-"""Treatment of the parameters that every throw has."""
-
-_MAX_ERROR = 1e30
-"""Error in SI units beyond which a parameter is not seen at all."""
-
-_MAX_EVALUATIONS = 200
-"""Largest number of evaluations of the model in one run of the solver."""
+_OWN = FREE._replace(is_per_throw=True)  # treatment of the parameters that every throw has
+_MAX_ERROR = 1e30  # error in SI units beyond which a parameter is not seen at all
+_MAX_EVALUATIONS = 200  # largest number of evaluations of the model in one run of the solver
 
 
 class Series(NamedTuple):
@@ -79,22 +69,18 @@ class Trajectory(NamedTuple):
 
 @dataclass(frozen=True)
 class RigModel:
-    r"""
+    """
     A model of the tracks of all throws, around the values of `rig`.
 
-    Notes
-    -----
     The fitted values form a vector, see `parameters`. Derivatives are forward differences, which
     need a simulation only for the parameters of the rig.
-
     """
 
     throws: tuple[ThrowTracks, ...]
     rig: Rig
     description: FitDescription
     simulator: ThrowSimulator
-    initial: Mapping[str, float]
-    """Start values by `names`, at least those of the starts and of the plates at rest."""
+    initial: Mapping[str, float]  # start values by `names`, at least those of fits of the plates
 
     @property
     def by_cells(self) -> bool:
@@ -192,23 +178,20 @@ class RigModel:
         """
         rig = rig or self.rig_of(values, throw)
         since = time - self.value(values, START, throw)
-        drift = self.value(values, f'{body}.drift', throw) * self._drift(throw, time)
+        plate = self.throws[throw].plate
+        share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
+        drift = self.value(values, f'{body}.drift', throw) * (share * self.rig.engine.amplitude)
         if body == 'plate':
             motion = Underdamped.of(rig.engine)
             rest = self.value(values, PLATE_ZERO, throw)
             return Trajectory(rest + motion.position(since) + drift, motion.velocity(since))
-        scale = self.value(values, 'projectile.scale', throw)
-        delay = self.value(values, 'projectile.delay', throw)
+        scale, delay, rest = (
+            self.value(values, name, throw)
+            for name in ('projectile.scale', 'projectile.delay', PROJECTILE_ZERO)
+        )
         path = self.simulator.follow(rig, since - delay, by_cells=self.by_cells)
-        rest = self.value(values, PROJECTILE_ZERO, throw)
         height = rest + scale * (path.position - rig.rest_height) + drift
         return Trajectory(height, scale * path.velocity)
-
-    def _drift(self, throw: int, time: Floats) -> Floats:
-        """Return the heights of a drift by the amplitude, none in the middle of a record [m]."""
-        plate = self.throws[throw].plate
-        share = (time - 0.5 * (plate.time[0] + plate.time[-1])) / plate.duration
-        return np.asarray(share * self.rig.engine.amplitude)
 
     def jacobian(self, values: Floats, only: Collection[str] = ()) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
@@ -256,18 +239,14 @@ class RigModel:
         return values
 
     def fit(
-        self,
-        start: Floats,
-        *,
-        max_evaluations: int = _MAX_EVALUATIONS,
-        only: Collection[str] = (),
+        self, start: Floats, *, max_evaluations: int = _MAX_EVALUATIONS, only: Collection[str] = ()
     ) -> Fit:
         """Fit all values, or only some parameters, by `fit_tracks`."""
         free = [i for i, (name, _) in enumerate(self.parameters) if not only or name in only]
         kinds = [self.parameters[index][0] for index in free]
-        priors = {
-            k: self.description.known(name, self.rig)
-            for k, name in enumerate(kinds) if name in DEFAULTS
+        known = {
+            k: prior for k, name in enumerate(kinds)
+            if name in DEFAULTS and (prior := self.description.known(name, self.rig))
         }
         low, high = np.transpose([_BOUNDS.get(name, _UNBOUNDED) for name in kinds])
 
@@ -276,25 +255,23 @@ class RigModel:
             full[free] = values
             return full
 
-        several = len(self.throws) > 1
         model = FitModel(
             names=tuple(self.names[index] for index in free),
             predict=lambda values: self.predict(whole(values)),
             jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
             low=low,
             high=high,
-            known={k: prior for k, prior in priors.items() if prior is not None},
+            known=known,
         )
+        several = len(self.throws) > 1
         tracks = [
             (f'{body} of {self.throws[throw].name}' if several else body, track)
             for throw, body, track in self.series
         ]
         result = fit_tracks(model, start[free], tracks, max_evaluations=max_evaluations)
-        unseen = np.flatnonzero(~(result.errors < _MAX_ERROR))
-        if unseen.size:
-            raise FitError(
-                f'these tracks say nothing of {", ".join(result.names[index] for index in unseen)}'
-            )
+        errors = zip(result.names, result.errors, strict=True)
+        if unseen := [name for name, error in errors if not error < _MAX_ERROR]:
+            raise FitError(f'these tracks say nothing of {", ".join(unseen)}')
         return result
 
     def start_of(self, throw: int) -> float:

@@ -19,12 +19,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 from soft_throw_ros.identification.least_squares import Estimate, FitError
-from soft_throw_ros.identification.tracks import FEWEST, Track
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import FEWEST, Floats, Track
 
 _MODES = (1.0, 3.0)  # frequencies of the modes, over the first one
 _LOSSES = (0.01, 0.1, 0.4)  # initial loss tangents

@@ -24,9 +24,8 @@ import warnings
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.identification.tracks import FEWEST, Track, TrackError
+from soft_throw_ros.identification.tracks import FEWEST, Floats, Track, TrackError
 
-Floats = NDArray[np.float64]
 Picture = NDArray[Any]  # grey levels in the type of the video
 
 BODIES = ('plate', 'layer', 'projectile', 'none')
@@ -99,23 +98,19 @@ def follow_spots(pictures: Iterable[Picture], *, light: bool = False) -> tuple[l
     Return the spots of the first picture, the lowest one first, and the number of pictures. Raise
     TrackError if there are none, or pictures differ in size.
     """
-    spots: list[Spot] = []
-    shape: tuple[int, ...] = ()
-    number = -1
-    for number, picture in enumerate(pictures):
-        if not number:
-            shape = picture.shape
-            spots, diameter = _first_spots(picture, light)
-        elif picture.shape != shape:
-            raise TrackError(f'pictures must be of one size, got {picture.shape} after {shape}')
-        else:
-            found = _locate(picture, diameter, light)
-            for spot in sorted(spots, key=lambda spot: -spot.picture[-1]):
-                found = spot.take(number, found, diameter)
-    if number < 0:
+    number, every = 0, iter(pictures)
+    if (first := next(every, None)) is None:
         raise TrackError('contains no picture')
+    spots, diameter = _first_spots(first, light)
+    for number, picture in enumerate(every, 1):
+        if picture.shape != first.shape:
+            wrong = f'{picture.shape} after {first.shape}'
+            raise TrackError(f'pictures must be of one size, got {wrong}')
+        found = _locate(picture, diameter, light)
+        for spot in sorted(spots, key=lambda spot: -spot.picture[-1]):
+            found = spot.take(number, found, diameter)
     for spot in spots:
-        spot.finish(number + 1, shape, diameter)
+        spot.finish(number + 1, first.shape, diameter)
     return spots, number + 1
 
 
@@ -136,10 +131,8 @@ def _first_spots(picture: Picture, light: bool) -> tuple[list[Spot], int]:
         found = found[found[:, 2] > _MIN_MASS * found[:, 2].max(initial=0.0)]
         found = found[found[:, 4] < _MAX_ECCENTRICITY]
         if found.size and found[:, 3].max() < _FILL * diameter:
-            return [
-                Spot(first=row, picture=[0], centre=[row[:2]])
-                for row in found[np.argsort(-found[:, 0])]
-            ], diameter
+            lowest_first = found[np.argsort(-found[:, 0])]
+            return [Spot(first=r, picture=[0], centre=[r[:2]]) for r in lowest_first], diameter
     kind = 'light' if light else 'dark'
     raise TrackError(f'the first picture shows no {kind} round spot (see --light-spots)')
 
@@ -165,9 +158,9 @@ def tracks_of(
         raise TrackError(f'{len(spots)} round spots are seen, at {places}, not {len(bodies)}')
     groups: dict[str, list[Spot]] = {}
     for number, (spot, body) in enumerate(zip(spots, bodies, strict=True)):
-        if body != 'none':
-            name = f'layer {1 + bodies[:number].count("layer")}' if body == 'layer' else body
-            groups.setdefault(name, []).append(spot)
+        name = f'layer {1 + bodies[:number].count("layer")}' if body == 'layer' else body
+        groups.setdefault(name, []).append(spot)
+    groups.pop('none', None)
     tracks = {}
     for name, some in groups.items():
         seen = reduce(np.intersect1d, [np.array(spot.picture) for spot in some])

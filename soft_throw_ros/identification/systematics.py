@@ -16,12 +16,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.rig import Engine
 from soft_throw_ros.identification.least_squares import Estimate, TrackResidual
-from soft_throw_ros.identification.tracks import FEWEST
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.identification.tracks import FEWEST, Floats
 
 _HIGHEST = 12.0  # largest frequency of another oscillation, over that of the plate
 _CHANCE = 11.0  # power of an oscillation that noise reaches in one of fifty records [noise]
@@ -34,8 +31,7 @@ class Floor(NamedTuple):
     """The systematic error of a quantity, as one standard error."""
 
     size: float
-    unit: str
-    """`%` of the value, or the SI unit of the quantity."""
+    unit: str  # `%` of the value, or the SI unit of the quantity
 
     def of(self, value: float) -> float:
         """Return the systematic error of a value, in its unit."""
@@ -59,14 +55,10 @@ FLOORS: Mapping[str, Floor] = {
     'ejection.speed': Floor(0.1, '%'),
     'ejection.energy_transfer': Floor(0.2, '%'),
 }
-"""
-Floors by quantity, with their reasons, in tracks without noise.
-
-Those of the parameters contribute to the results of a throw, too.
-"""
+"""Floors by quantity, with their reasons, in tracks without noise."""
 
 
-def with_floor(name: str, estimate: Estimate, growth: float = 1.0) -> Estimate:
+def with_floor(name: str, estimate: Estimate, growth: float) -> Estimate:
     """Return an estimate whose error includes the systematic error of a quantity."""
     if name not in FLOORS:
         return estimate

@@ -69,9 +69,7 @@ def unused_columns(lines: Iterable[str], bodies: Sequence[str]) -> list[str]:
     """Return the labels of columns that are neither the time nor the height of a body."""
     names = {'t', 'time', *(name for body in bodies for name in COLUMN_NAMES[body])}
     _, head = next(read_rows(lines))
-    return [
-        cell for cell in head if float_of(cell) is None and parse_label(cell)[0] not in names
-    ]
+    return [cell for cell in head if float_of(cell) is None and parse_label(cell)[0] not in names]
 
 
 def csv_lines(tracks: Mapping[str, Track]) -> Iterator[str]:

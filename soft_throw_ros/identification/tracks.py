@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 from scipy.signal import spectrogram
-from soft_throw_ros.configuration.csv_rows import MIN_STEP
+from soft_throw_ros.configuration.csv_rows import Floats, MIN_STEP
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
@@ -69,18 +68,13 @@ class Track:
     `MAX_TIME` or `MAX_HEIGHT`, or do not increase.
     """
 
-    time: Floats
-    """Increasing times, shape (n,). [s]"""
-    position: Floats
-    """Heights, upwards from any zero, shape (n,). [m]"""
-    known_noise: float | None = None
-    """Standard deviation of the positions, estimated if None. [m]"""
-    stamp_error: float = 0.0
-    """Standard deviation of the times. [s]"""
+    time: Floats  # increasing times, shape (n,) [s]
+    position: Floats  # heights, upwards from any zero, shape (n,) [m]
+    known_noise: float | None = None  # standard deviation of the positions, estimated if None [m]
+    stamp_error: float = 0.0  # standard deviation of the times [s]
 
     def __post_init__(self) -> None:
-        time = np.asarray(self.time, dtype=np.float64)
-        position = np.asarray(self.position, dtype=np.float64)
+        time, position = (np.asarray(item, np.float64) for item in (self.time, self.position))
         if time.ndim != 1 or time.shape != position.shape or time.size < FEWEST:
             raise TrackError(
                 f'a track is two series of the same length, at least {FEWEST}, '
@@ -126,10 +120,9 @@ class Track:
     @property
     def is_stuck(self) -> Flags:
         """
-        Return which samples repeat a height while the body must move.
+        Return which samples repeat a height, not that at rest, while the body must move.
 
-        Programs write 0 for a lost sample, and a laser its largest height. As many samples before,
-        the body is farther away than where it turns, and the height is not that at rest.
+        As many samples before, it is farther away than where a motion turns.
         """
         height = self.position
         far = _STILL_STEPS * max(_smallest_step(height) or float(np.ptp(height)), self.noise)
@@ -150,10 +143,10 @@ class Track:
         """Return the part from `start` to `end` [s], both included; refuse too few samples."""
         inside = (self.time >= start) & (self.time <= end)
         if inside.sum() < FEWEST:
+            first, last = self.time[[0, -1]]
             raise TrackError(
                 f'only {inside.sum()} samples from {start:g} s to {end:g} s, where at least '
-                f'{FEWEST} are needed; the track goes from {self.time[0]:g} s '
-                f'to {self.time[-1]:g} s'
+                f'{FEWEST} are needed; the track goes from {first:g} s to {last:g} s'
             )
         return self.where(inside)
 
@@ -210,15 +203,10 @@ def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) 
     r"""
     Estimate the standard deviation of white noise on a smooth motion [m].
 
-    Notes
-    -----
-    The estimate uses the deviation of each sample from the cubic through the two samples on either
-    side, over the deviation for unit noise. A motion of n even samples per period contributes its
-    amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`. Deviations beyond five median deviations, at
-    kinks and jumps, are excluded, and the half of the samples with the larger errors by the times,
-    `stamp_noise` [m]. The result is at least :math:`1 / \sqrt{12}` of the smallest step, the error
-    of rounded heights, and never 0.
-
+    It is that of the deviations from cubics through neighbours, to which a motion of n samples per
+    period adds its amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`; without those at kinks and
+    jumps, and without the half of the samples with the larger `stamp_noise` [m]. The result is at
+    least the error of rounded heights, and never 0.
     """
     deviation, spread = _beside_neighbours(time, position)
     scatter = (deviation / spread)[2:-2]
@@ -243,26 +231,20 @@ def _beside_neighbours(time: Floats, position: Floats) -> tuple[Floats, Floats]:
 
     The second series is how noisy that is, over the noise of a single sample.
     """
-    deviation, variance = np.zeros_like(position), np.ones_like(position)
     inner = np.arange(2, time.size - 2)
-    deviation[inner] = position[inner]
+    difference, variance = position[inner], np.ones(inner.size)
     beside = [inner + offset for offset in (-2, -1, 1, 2)]
     for item in beside:  # Lagrange's polynomials
-        weight = np.ones(inner.size)
-        for other in beside:
-            if other is not item:
-                weight *= (time[inner] - time[other]) / (time[item] - time[other])
-        deviation[inner] -= weight * position[item]
-        variance[inner] += weight**2
-    return deviation, np.sqrt(variance)
+        shares = [(time[inner] - time[other]) / (time[item] - time[other])
+                  for other in beside if other is not item]
+        weight = np.prod(shares, axis=0)
+        difference = difference - weight * position[item]
+        variance = variance + weight**2
+    return np.pad(difference, 2), np.pad(np.sqrt(variance), 2, constant_values=1.0)
 
 
 def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
-    """
-    Cut a record where the plate was not seen for long, as between sessions or clocks.
-
-    Pieces of less than `FEWEST` samples are left out, unless there is nothing else.
-    """
+    """Cut a record where the plate was not seen for long, without pieces of too few samples."""
     time = record.plate.time
     longest = max(_MAX_BREAK, _MAX_BREAK_SAMPLES * record.plate.interval)
     pieces = np.split(time, np.flatnonzero(np.diff(time) > longest) + 1)
@@ -272,16 +254,12 @@ def split_at_breaks(record: ThrowTracks) -> list[ThrowTracks]:
 
 def find_throws(plate: Track) -> list[tuple[float, float]]:
     """
-    Find begin and end [s] of the throws in a record.
+    Find begin and end [s] of the throws in a record; none if the record is a single throw.
 
-    Notes
-    -----
     A throw begins where the plate leaves its lowest position of rest. If the plate comes back to
     rest, a throw lasts from a quarter of a plate period before its start to at most six periods
     after, so the plate must not be put back earlier. Of several throws, the last one is dropped if
-    the record ends within two periods after its start. A record in which the plate rests there
-    only once, or never, is one throw; the result is empty.
-
+    the record ends within two periods after its start.
     """
     plate = plate.without_spikes()
     time = plate.time
@@ -300,24 +278,21 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     rest = float(np.min(0.5 * (low + high)[quiet]))
     at_rest = quiet & (np.abs(position - rest) < tolerance)
     edges = np.diff(at_rest.astype(np.int8))
-    begins = np.flatnonzero(edges == 1) + 1
-    ends = np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1)
+    returns = time[1:][edges == 1]
     lift = rest + 0.3 * (float(position.max()) - rest)
     starts = []
-    for end in ends.tolist():
+    for end in np.minimum(np.flatnonzero(edges == -1) + size // 2, time.size - 1).tolist():
         soon = (time >= time[end - size // 2]) & (time <= time[end] + period)
         if (position[soon] > lift).any():
             starts.append(float(time[end]))
-    returns = [float(time[begin]) for begin in begins]
-    if len(starts) < 2 and not any(back > start for start in starts for back in returns):
+    if len(starts) < 2 and not (starts and (returns > starts[0]).any()):
         return []
     if len(starts) > 1 and time[-1] < starts[-1] + _SEEN_AFTER * period:
         starts.pop()
-    limits = [*starts[1:], math.inf]
     before, after = _KEPT_BEFORE * period, _KEPT_AFTER * period
     return [
         (start - before, min(start + after, limit - before))
-        for start, limit in zip(starts, limits, strict=True)
+        for start, limit in zip(starts, [*starts[1:], math.inf], strict=True)
     ]
 
 
@@ -350,6 +325,5 @@ def fall_acceleration(plate: Track, projectile: Track) -> float | None:
     if time.size < FEWEST or distance[highest] < 2.0 * float(np.ptp(plate.position)):
         return None
     parabola = np.polynomial.Polynomial.fit(time, height, 2)
-    if float(np.std(height - parabola(time))) > _FLIGHT_NOISE * projectile.noise:
-        return None
-    return -float(parabola.deriv(2)(time[0]))
+    is_free = np.std(height - parabola(time)) <= _FLIGHT_NOISE * projectile.noise
+    return -float(parabola.deriv(2)(time[0])) if is_free else None

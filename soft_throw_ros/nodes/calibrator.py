@@ -35,9 +35,8 @@ from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED
-from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.flight import flight_speed, motion_delay
-from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.least_squares import Estimate, fit_warnings
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks
 from soft_throw_ros.nodes.conversions import (

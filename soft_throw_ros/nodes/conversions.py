@@ -28,7 +28,7 @@ from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.texts import throw_text
-from soft_throw_ros.storage.bag_metadata import load_profiles
+from soft_throw_ros.storage.bag_folder import load_profiles
 from soft_throw_ros.storage.message import LATEST, SECOND
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header

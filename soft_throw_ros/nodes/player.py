@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from soft_throw_ros.configuration.interface import REPLAY_SERVICES, REPLAY_TOPICS
+from soft_throw_ros.configuration.interface import REPLAY_CLOCK, REPLAY_SERVICES
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
 from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, wake_on_time
@@ -55,12 +55,11 @@ class Player(RunnableNode):
         self._is_damaged = False  # set while playing
         self._outlets: dict[Channel, Publisher] = {}
         for channel in reader.channels:
-            is_clock = bool(clock) and channel.topic == REPLAY_TOPICS.clock.name
+            is_clock = bool(clock) and channel.topic == REPLAY_CLOCK.name
             if not is_clock and (not topics or channel.topic in topics):
                 self._make_publisher(channel)
-        self._schedule: PlaybackSchedule[Message] = PlaybackSchedule(
+        self._schedule = PlaybackSchedule(
             self._messages,
-            lambda message: message.log_time,
             begin_ns=reader.start_time,
             end_ns=reader.end_time,
             rate=rate,
@@ -71,7 +70,7 @@ class Player(RunnableNode):
         self._thread = threading.Thread(name='player', target=self._run, daemon=True)
         self.add_cleanup(self._stop)
         if clock:
-            row = REPLAY_TOPICS.clock
+            row = REPLAY_CLOCK
             self._clock_publisher = self.create_publisher(Clock, row.name, qos_profile(row))
             self.create_steady_timer(1.0 / clock, self._on_clock)
         pause, resume = self._schedule.pause, self._schedule.resume

@@ -25,7 +25,7 @@ from soft_throw_ros.nodes.rclpy_internals import LossEvent, take_messages
 from soft_throw_ros.nodes.topics import load_type, make_profile, qos_profile
 from soft_throw_ros.recording.loss_counter import LossCounter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
-from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.bag_folder import dump_yaml
 from soft_throw_ros.storage.message import Channel, Message
 
 _DEPTH = 10_000  # most waiting messages of a topic: a second of the fastest sensor [-]

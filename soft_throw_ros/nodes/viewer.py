@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import VIEWER_TOPICS
+from soft_throw_ros.configuration.interface import VIEWER_DIAGNOSTICS
 from soft_throw_ros.configuration.recorder import VIEWER
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
@@ -39,7 +39,7 @@ class Viewer(RunnableNode):
             raise ParameterError(
                 f"Rerun is needed: pip install 'soft_throw_ros[rerun]' ({error})"
             ) from error
-        self._outgoing = Publishers(self, VIEWER_TOPICS)
+        self._outgoing = Publishers(self, [VIEWER_DIAGNOSTICS])
         wanted = [full_name(self, name) for name in settings['topics']]
         self.raw_subscriptions = RawSubscriptions(self, wanted, is_accepted=is_drawn)
         self._stream = rerun_viewer.new_stream('live')
@@ -88,7 +88,7 @@ class Viewer(RunnableNode):
         missing, damage = sum(values.values()), self._scene.damage
         text = f'{missing} messages not shown' + (damage and f'; {damage}')
         status = self._outgoing.status('display', text, values, warn=missing > 0)
-        self._outgoing.report(VIEWER_TOPICS.diagnostics, [status])
+        self._outgoing.report(VIEWER_DIAGNOSTICS, [status])
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+import io
 import math
 import os
 from pathlib import Path
@@ -19,9 +20,9 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
-from soft_throw_ros.storage.bag_lock import lock_folder
-from soft_throw_ros.storage.bag_metadata import (
+from soft_throw_ros.storage.bag_folder import (
     dump_yaml,
+    lock_folder,
     METADATA_FILE,
     profiles_of,
     VERSION,
@@ -63,9 +64,9 @@ class BagWriter:
         self.folder = Path(folder)
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.counts: Counter[Channel] = Counter()
-        self._written: Counter[Channel] = Counter()  # accepted by `write`
+        self.written: Counter[Channel] = Counter()  # all messages, also those of the open chunk
         self._distribution = distribution
-        self._compression = CompressionType[compression.upper()]
+        self.compression = CompressionType[compression.upper()]
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
@@ -114,7 +115,7 @@ class BagWriter:
         if log_time - file.first >= self._max_duration or file.size > self._max_size:
             self.split()
             file = self._file()
-        self._written[channel] += 1
+        self.written[channel] += 1
         file.count += 1
         file.first, file.last = min(file.first, log_time), max(file.last, log_time)
         number = file.channels.get(channel) or file.define(channel)
@@ -139,7 +140,7 @@ class BagWriter:
         file = self._file()
         file.writer.flush()
         if self._sync:
-            self._try(file.path, os.fsync, file.descriptor)
+            self.insist(file.path, os.fsync, file)
 
     def close(self) -> None:
         """
@@ -154,15 +155,7 @@ class BagWriter:
             finally:
                 self._release()
 
-    def _file(self) -> _File:
-        """Return the present file; raise BagError if the bag is closed or has failed."""
-        if self._lock < 0:
-            raise BagError(f'{self.folder} is closed')
-        if self._error:
-            raise BagError(self._error)
-        return self._files[-1]
-
-    def _try(self, path: Path, act: Callable[..., Any], *args: object) -> Any:
+    def insist(self, path: Path, act: Callable[..., Any], *args: object) -> Any:
         """Act on the disk, again and again as long as `wait_for_disk` returns True."""
         while True:
             try:
@@ -173,16 +166,22 @@ class BagWriter:
                     self._error = reason
                     raise BagError(reason) from None
 
-    def _on_chunk(self) -> None:
-        """Count all messages so far as saved, although the index of their chunk may be missing."""
-        self.counts = self._written.copy()
+    def _file(self) -> _File:
+        """Return the present file; raise BagError if the bag is closed or has failed."""
+        if self._lock < 0:
+            raise BagError(f'{self.folder} is closed')
+        if self._error:
+            raise BagError(self._error)
+        return self._files[-1]
 
     def _begin_file(self) -> None:
         """Begin the next file, with all that it needs to be read alone."""
         path = self.folder / f'{self.folder.name}_{len(self._files)}.mcap'
-        self._files.append(_File(path, self._try, self._on_chunk, self._compression))
-        for channel in self._written:
-            self._files[-1].define(channel)
+        file = self.insist(path, _File, path, self)
+        self._files.append(file)
+        file.writer.start('ros2', f'soft_throw_ros {__version__}')
+        for channel in self.written:
+            file.define(channel)
         self._write_metadata()
 
     def _finish_file(self) -> None:
@@ -197,9 +196,9 @@ class BagWriter:
 
     def _write_metadata(self) -> None:
         path = self.folder / METADATA_FILE
-        self._try(path, write_metadata, path, self._information())
+        self.insist(path, write_metadata, path, self._information())
         if self._sync:
-            self._try(self.folder, os.fsync, self._lock)  # that there are such files
+            self.insist(self.folder, os.fsync, self._lock)  # that there are such files
 
     def _release(self) -> None:
         for file in self._files[-1:]:
@@ -228,7 +227,7 @@ class BagWriter:
                     },
                     'message_count': count,
                 }
-                for channel, count in self._written.items()
+                for channel, count in self.written.items()
             ],
             'compression_format': '',
             'compression_mode': '',
@@ -247,53 +246,34 @@ class BagWriter:
         }
 
 
-class _File:
+class _File(io.BufferedWriter):
     """
     An MCAP file of the bag, and the stream of its `writer`.
 
-    Nothing is buffered below the writer, so that the size of all written records is known. `act`
-    repeats a call that the disk refuses; `on_chunk` is called when a chunk is written.
+    Nothing is buffered, so that the size of all written records is known.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        act: Callable[..., Any],
-        on_chunk: Callable[[], None],
-        compression: CompressionType,
-    ) -> None:
+    def __init__(self, path: Path, bag: BagWriter) -> None:
+        super().__init__(io.FileIO(path, 'x'))
         self.path = path
         self.count = 0  # of messages
         self.first, self.last = LATEST, 0  # log times of messages [ns]
         self.size = 0  # [bytes]
-        self._act = act
-        self._on_chunk = on_chunk
         self.channels: dict[Channel, int] = {}  # numbers of the defined ones
         self._schemas: dict[tuple[str, str, bytes], int] = {}
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self.descriptor = act(path, os.open, path, flags, 0o666)
-        self.writer = Writer(
-            self,  # type: ignore[arg-type]  # all that a writer needs of a stream
-            chunk_size=CHUNK_SIZE,
-            compression=compression,
-        )
-        self.writer.start('ros2', f'soft_throw_ros {__version__}')
+        self._bag = bag
+        self.writer = Writer(self, chunk_size=CHUNK_SIZE, compression=bag.compression)
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: Any) -> int:
         """Write data, waiting for the disk."""
         rest = memoryview(data)
         while rest:
-            count = self._act(self.path, os.write, self.descriptor, rest)
+            count = self._bag.insist(self.path, self.raw.write, rest)
             self.size += count
             rest = rest[count:]
-        if data[:1] == _CHUNK:  # the library writes it at once
-            self._on_chunk()
-
-    def tell(self) -> int:
-        return self.size
-
-    def flush(self) -> None:
-        """Do nothing, because nothing is buffered."""
+        if data[:1] == _CHUNK:  # the library writes it at once, and its index later
+            self._bag.counts = self._bag.written.copy()
+        return len(data)
 
     def define(self, channel: Channel) -> int:
         """Define a channel and its type, and return the number of the channel."""
@@ -306,8 +286,3 @@ class _File:
         )
         self.channels[channel] = number
         return number
-
-    def close(self) -> None:
-        if self.descriptor >= 0:
-            os.close(self.descriptor)
-            self.descriptor = -1

@@ -70,14 +70,14 @@ class CheckResult:
         """Return lines for people to read."""
         lines = [self.reason] if self.reason else []
         if self.differences or not self.reason:
-            lines += [
-                f'{name}: {count.same} are the same to the last bit, {count.different} are '
-                f'different, {count.missing} {unit}are not in the bag'
-                for name, count, unit in (
-                    ('states', self.states, ''),
-                    ('results and checksums', self.results, 'lines of the journal '),
+            for name, count, unit in (
+                ('states', self.states, ''),
+                ('results and checksums', self.results, 'lines of the journal '),
+            ):
+                lines.append(
+                    f'{name}: {count.same} are the same to the last bit, {count.different} are '
+                    f'different, {count.missing} {unit}are not in the bag'
                 )
-            ]
         lines += [f'different: {sentence}' for sentence in self.differences[:_SHOWN]]
         if len(self.differences) > _SHOWN:
             lines.append(f'different: and {len(self.differences) - _SHOWN} more')
@@ -186,17 +186,16 @@ class _Check:
 
     def _repeat(self, first: journal.Entry, lines: deque[journal.Entry]) -> None:
         """Repeat a session from a line on, up to the end or a line that cannot be repeated."""
-        recorded: deque[journal.Entry] = deque()
-        repeated: deque[journal.Entry] = deque()
+        expected = deque(entry for entry in (first, *lines) if entry['kind'] in _COMPARED)
         line = first['line']
 
         def on_entry(text: str) -> None:
-            if (entry := journal.decode(text))['kind'] in _COMPARED:
-                repeated.append(entry)
+            entry = journal.decode(text)
+            if entry['kind'] in _COMPARED and expected:
+                self._compare_lines(expected.popleft(), entry)
 
         try:
             session = Session.from_entry(first, on_entry=on_entry)
-            recorded.extend([first] if first['kind'] in _COMPARED else [])
             while lines:
                 entry = lines.popleft()
                 line, distance = entry['line'], entry['step'] - session.step
@@ -206,32 +205,24 @@ class _Check:
                         f'{MAX_STEPS_BETWEEN_LINES}'
                     )
                 self._compare_states(session, session.follow(entry))
-                if entry['kind'] in _COMPARED:
-                    recorded.append(entry)
-                self._compare_lines(recorded, repeated)
-            for entry in tuple(recorded):  # of the last step, or of the end of the session
+            for entry in tuple(expected):  # of the last step, or of the end of the session
                 if entry['kind'] == 'checksum':
                     session.close()
-                elif entry in recorded:
+                elif entry in expected:
                     self._compare_states(session, [session.advance()])
-                self._compare_lines(recorded, repeated)
-            if recorded:
-                raise journal.JournalError(f'{recorded[0]["kind"]} is not repeated')
+            if expected:
+                raise journal.JournalError(f'{expected[0]["kind"]} is not repeated')
         except _UNREPEATABLE as error:
             self._result.differences.append(f'line {line} cannot be repeated: {error!s:.300}')
 
-    def _compare_lines(
-        self, recorded_lines: deque[journal.Entry], repeated_lines: deque[journal.Entry]
-    ) -> None:
-        """Compare the lines of the journal and of the repeated session, in order."""
-        while recorded_lines and repeated_lines:
-            recorded, repeated = recorded_lines.popleft(), repeated_lines.popleft()
-            kind, step = recorded['kind'], recorded['step']
-            difference = _first_difference(recorded, repeated)
-            if kind == 'throw' and not difference:
-                continue
-            if kind == 'throw' or (kind, step) != (repeated['kind'], repeated['step']):
-                raise journal.JournalError(f'{kind} of step {step}: {difference}')
+    def _compare_lines(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
+        """Compare a line of the journal with the repeated one; JournalError for another event."""
+        kind, step = recorded['kind'], recorded['step']
+        difference = _first_difference(recorded, repeated)
+        is_other = (kind, step) != (repeated['kind'], repeated['step'])
+        if is_other or (kind == 'throw' and difference):
+            raise journal.JournalError(f'{kind} of step {step}: {difference}')
+        if kind != 'throw':
             where = f'steps {repeated.get("first")} to {step - 1}'
             if kind == 'result':
                 where = f'throw {repeated["result"]["throw"]}, {repeated["result"]["stage"]}'

@@ -12,30 +12,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 import itertools
 import math
-from typing import Generic, TypeVar
+
+from soft_throw_ros.storage.message import Message
 
 MAX_CATCH_UP = 100_000_000
-"""Largest delay that is caught up; after a longer stall the remaining items are postponed. [ns]"""
+"""Largest delay that is caught up; after a longer stall later messages are postponed. [ns]"""
 
 SHORTEST_LOOP = 1_000_000
 """Shortest period of repetition, for very short recordings. [ns]"""
 
-Item = TypeVar('Item')
 
-
-class PlaybackSchedule(Generic[Item]):
+class PlaybackSchedule:
     """
-    Deadlines of the items of a recording, at a selectable rate, optionally repeated.
+    Deadlines of the messages of a recording, at a selectable rate, optionally repeated.
 
-    `items` returns the items from the beginning, in order; `time_of`, the time of one by the clock
-    of the recording [ns]. Playback is paused at the beginning until it is resumed. ValueError is
-    raised if the rate is not finite and positive.
+    `messages` returns them from the beginning, by log time. Playback is paused at the beginning
+    until it is resumed. ValueError is raised if the rate is not finite and positive.
     """
 
     def __init__(
         self,
-        items: Callable[[], Iterable[Item]],
-        time_of: Callable[[Item], int],
+        messages: Callable[[], Iterable[Message]],
         *,
         begin_ns: int,
         end_ns: int,
@@ -54,16 +51,16 @@ class PlaybackSchedule(Generic[Item]):
         # Times of the recording count from its beginning, and continue through repetitions.
         # At the caller's time `_now`, the time of the recording was `_passed`.
         self._now = self._passed = 0
-        self._coming = self._repeat(items, time_of)
+        self._coming = self._repeat(messages)
         self._next_time, self._next = next(self._coming, (0, None))
 
     @property
     def is_over(self) -> bool:
-        """Whether all items have been returned."""
+        """Whether all messages have been returned."""
         return self._next is None
 
     def time(self, now: int) -> int:
-        """Return the time of the recording, at most the time of the next item [ns]."""
+        """Return the time of the recording, at most that of the next message [ns]."""
         passed = self._passed_by(now)
         if self.is_over:
             passed = min(passed, self._loop_length)
@@ -72,20 +69,20 @@ class PlaybackSchedule(Generic[Item]):
         return self._begin + passed
 
     def deadline(self) -> int | None:
-        """Return when the next item is due, None if it is not, being paused or over [ns]."""
+        """Return when the next message is due, None if paused or over [ns]."""
         if self.is_over or self.is_paused:
             return None
         return self._now + round((self._next_time - self._passed) / self.rate)
 
-    def next_due(self, now: int) -> Item | None:
-        """Remove and return the next item if it is due."""
+    def next_due(self, now: int) -> Message | None:
+        """Remove and return the next message if it is due."""
         deadline = self.deadline()
         if deadline is None or deadline > now:
             return None
         self._now += max(now - deadline - MAX_CATCH_UP, 0)
-        item = self._next
+        message = self._next
         self._next_time, self._next = next(self._coming, (self._next_time, None))
-        return item
+        return message
 
     def pause(self, now: int) -> None:
         """Pause playback."""
@@ -106,13 +103,12 @@ class PlaybackSchedule(Generic[Item]):
         return max(passed if self.is_over else min(passed, self._next_time), 0)
 
     def _repeat(
-        self, items: Callable[[], Iterable[Item]], time_of: Callable[[Item], int]
-    ) -> Iterator[tuple[int, Item | None]]:
-        """Yield items with their times since the beginning of the first loop."""
+        self, messages: Callable[[], Iterable[Message]]
+    ) -> Iterator[tuple[int, Message | None]]:
+        """Yield messages with their times since the beginning of the first loop."""
         for loop in itertools.count():
-            has_any = False
-            for item in items():
-                has_any = True
-                yield loop * self._loop_length + time_of(item) - self._begin, item
-            if not (has_any and self._is_looping):
+            message = None
+            for message in messages():
+                yield loop * self._loop_length + message.log_time - self._begin, message
+            if message is None or not self._is_looping:
                 return

@@ -11,7 +11,7 @@ import shutil
 
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.storage.bag_lock import is_being_written
+from soft_throw_ros.storage.bag_folder import is_being_written
 from soft_throw_ros.storage.bag_reader import BagFolder, open_mcap, read_records
 from soft_throw_ros.storage.message import BagError, Message
 

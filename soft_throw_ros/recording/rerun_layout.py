@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ STAMP = 'stamp'
 THROW_TIME = 'time since throw'
 """Timeline of the rig, from the start of the throw that is shown."""
 
-LOG = '/log'
+LOG = 'log'
 """Entity with the log of all nodes."""
 
 Colour = tuple[int, int, int]
@@ -84,13 +85,16 @@ _PLOTS = {
     'residual': 'Model less measurement (µm)',
 }
 
+_Panel = tuple[float, str, Any, str, dict[str, Any]]
+"""Share of the height of its column, entity, kind of view, title, and options of the view."""
+
 _OPTIONAL = {'energy', 'residual', 'track', LOG}
 """Panels that are left out while they would be empty."""
 
 STRAIN_WIDTH = 4.0
 """Width of the picture of the strain over time, whose height is 1, in its view."""
 
-STRAIN_VIEW = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
+_STRAIN = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
 """Section of this view, whose vertical axis points downwards."""
 
 _BEFORE, _AFTER = 0.7, 1.8
@@ -113,7 +117,24 @@ class TwinLayout:
     present: set[str]  # optional panels that are there
 
 
-def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
+def arrange(twins: Sequence[TwinLayout], timeline: str, *, is_live: bool) -> rrb.Blueprint:
+    """Return the window of one twin, or of several ones in tabs."""
+    views = [_arrange_twin(twin, is_live=is_live) for twin in twins]
+    return rrb.Blueprint(
+        views[0] if len(views) == 1 else rrb.Tabs(*views),
+        rrb.TopPanel(state='expanded' if is_live else 'collapsed'),
+        rrb.BlueprintPanel(state='hidden'),
+        rrb.SelectionPanel(state='hidden'),
+        rrb.TimePanel(
+            state='collapsed',
+            timeline=timeline,
+            playback_speed=1.0 if is_live else min(0.5 * twins[0].period, 1.0),
+            play_state='following' if is_live else 'paused',
+        ),
+    )
+
+
+def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     """Return all panels of a twin; plots and phases show a time window around the cursor."""
     before, after = _BEFORE * twin.period, _AFTER * twin.period
     if is_live:
@@ -123,52 +144,44 @@ def arrange(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     )
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
     half, limit = 1.25 * twin.diameter, twin.residual_limit
-
-    def view(kind: type[rrb.View], entity: str, title: str, **options: Any) -> rrb.View:
-        return kind(origin=f'{twin.root}/{entity}', name=title, **options)
-
-    def plot(entity: str, title: str) -> rrb.View:
-        return view(
-            rrb.TimeSeriesView, entity, title, axis_x=window,
-            axis_y=rrb.ScalarAxis(range=(-limit, limit)) if entity == 'residual' else None,
-            plot_legend=rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
-        )
-
-    def column(panels: dict[str, tuple[float, rrb.View]]) -> rrb.Container:
-        shown = [
-            panel for name, panel in panels.items()
-            if name not in _OPTIONAL or name in twin.present
-        ]
-        return rrb.Vertical(*(item for _, item in shown), row_shares=[share for share, _ in shown])
-
-    hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
-    log_columns = rrb.TextLogColumns(
-        timeline_columns=hidden, text_log_columns=['LogLevel', 'Body']
+    side = rrb.VisualBounds2D(
+        x_range=[-half, half], y_range=[-twin.height, 0.4 * twin.diameter]
     )
-    left = {
-        'side': (3.0, view(
-            rrb.Spatial2DView, 'side', 'Rig, to scale',
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=[-half, half], y_range=[-twin.height, 0.4 * twin.diameter]
-            ),
-        )),
-        'throw_result': (2.75, view(rrb.TextDocumentView, 'throw_result', 'Throw')),
-    }
-    middle = {
-        'phase': (1.5, view(rrb.StateTimelineView, 'phase', 'Phase', time_view=window)),
-        **{name: (3.0, plot(name, title)) for name, title in _PLOTS.items()},
-    }
-    right = {
-        'strain': (2.7, view(
-            rrb.Spatial2DView, 'strain', 'Strain ε(y, t) in the throw', visual_bounds=STRAIN_VIEW
-        )),
-        'landscape': (3.5, view(rrb.Spatial2DView, 'landscape', 'Energy transfer α(Lₛ, cₛ)')),
-        'recommendation': (4.15, view(
-            rrb.TextDocumentView, 'recommendation', 'Recommended layer'
-        )),
-        'track': (1.9, view(rrb.TextDocumentView, 'track', 'Measured track')),
-        LOG: (2.25, rrb.TextLogView(origin=LOG, name='Log', columns=log_columns)),
-    }
+    hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
+    log = rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=['LogLevel', 'Body'])
+    picture, text = rrb.Spatial2DView, rrb.TextDocumentView
+
+    def plot(entity: str, title: str) -> _Panel:
+        return 3.0, entity, rrb.TimeSeriesView, title, {
+            'axis_x': window,
+            'axis_y': rrb.ScalarAxis(range=(-limit, limit)) if entity == 'residual' else None,
+            'plot_legend': rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
+        }
+
+    def column(*panels: _Panel) -> rrb.Container:
+        absent = _OPTIONAL - twin.present
+        shown = [panel for panel in panels if panel[1] not in absent]
+        views = [
+            kind(origin=f'{"" if entity == LOG else twin.root}/{entity}', name=title, **options)
+            for _, entity, kind, title, options in shown
+        ]
+        return rrb.Vertical(*views, row_shares=[share for share, *_ in shown])
+
     return rrb.Horizontal(
-        *map(column, (left, middle, right)), column_shares=[2.5, 4.2, 4.2], name=twin.title
+        column(
+            (3.0, 'side', picture, 'Rig, to scale', {'visual_bounds': side}),
+            (2.75, 'throw_result', text, 'Throw', {}),
+        ),
+        column(
+            (1.5, 'phase', rrb.StateTimelineView, 'Phase', {'time_view': window}),
+            *(plot(entity, title) for entity, title in _PLOTS.items()),
+        ),
+        column(
+            (2.7, 'strain', picture, 'Strain ε(y, t) in the throw', {'visual_bounds': _STRAIN}),
+            (3.5, 'landscape', picture, 'Energy transfer α(Lₛ, cₛ)', {}),
+            (4.15, 'recommendation', text, 'Recommended layer', {}),
+            (1.9, 'track', text, 'Measured track', {}),
+            (2.25, LOG, rrb.TextLogView, 'Log', {'columns': log}),
+        ),
+        column_shares=[2.5, 4.2, 4.2], name=twin.title,
     )

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import copy
-from functools import partial
+from functools import cache, partial
 import math
 from typing import Any
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from soft_throw_ros.configuration.interface import (
     FIELD_POINTS,
+    find_topic,
     JOINT_STATE,
     JOINTS,
     Topic,
@@ -32,13 +31,7 @@ from soft_throw_ros.recording import charts
 from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording.rerun_layout import BLUE, GREY, RED, WHITE
-from soft_throw_ros.recording.twin_journal import (
-    DECODING_ERRORS,
-    identify,
-    Stamps,
-    ThrowStart,
-    TwinJournal,
-)
+from soft_throw_ros.recording.twin_journal import DECODING_ERRORS, Stamps, ThrowStart, TwinJournal
 from soft_throw_ros.storage.cdr import (
     decode,
     JointStateReader,
@@ -53,36 +46,36 @@ _MILLI, _MICRO = 1e3, 1e6
 
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 
-_LEVELS = ((50, 'CRITICAL'), (40, 'ERROR'), (30, 'WARN'), (20, 'INFO'), (0, 'DEBUG'))
-"""Levels of rcl_interfaces/Log and their names in Rerun."""
-
 _TRACK_TASKS = ('measurement', 'model', 'identification')
 """Tasks in /diagnostics about a measured track."""
 
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
 
-_LAST_TIME = 2**62  # [ns]
 
-
-class Canvas:
+class _Canvas:
     """
-    Draws into a recording.
+    A tree of entities in a recording.
 
     The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`. `delay`
     is added to all stamps [ns].
     """
 
     def __init__(
-        self, stream: rr.RecordingStream, throw: ThrowStart | None, *, is_live: bool
+        self, stream: rr.RecordingStream, root: str, throw: ThrowStart | None, *, is_live: bool
     ) -> None:
-        self.stream = stream
+        self.root = root
         self.throw = throw
-        self.is_live = is_live
         self.delay = 0
         self.is_drawn = False  # topics with these names may belong to another machine
+        self._stream = stream
+        self._is_live = is_live
 
-    def draw(self, path: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
+    def style(self, name: str, style: rr.AsComponents) -> None:
+        """Set the style of an entity, for all times."""
+        self._stream.log(f'{self.root}/{name}', style, static=True)
+
+    def draw(self, name: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
         """
         Draw content that holds until an entity gets other content.
 
@@ -90,12 +83,12 @@ class Canvas:
         """
         self.is_drawn = True
         stamp += self.delay
-        self.stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
+        self._stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
         if self.throw is not None:
-            self.stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
-        self.stream.log(path, *content, static=stays and self.is_live)
+            self._stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
+        self._stream.log(f'{self.root}/{name}', *content, static=stays and self._is_live)
 
-    def columns(self, path: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
+    def columns(self, name: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw rows of a quantity that changes with every step."""
         self.is_drawn = True
         stamps = stamps + self.delay
@@ -103,7 +96,7 @@ class Canvas:
         if self.throw is not None:
             seconds = self.throw.seconds_to(stamps)
             indexes.append(rr.TimeColumn(layout.THROW_TIME, duration=seconds))
-        self.stream.send_columns(path, indexes, columns)
+        self._stream.send_columns(f'{self.root}/{name}', indexes, columns)
 
 
 class Scene:
@@ -114,17 +107,16 @@ class Scene:
     """
 
     def __init__(
-        self,
-        stream: rr.RecordingStream,
-        *,
-        is_live: bool = False,
-        throw: ThrowStart | None = None,
+        self, stream: rr.RecordingStream, *, is_live: bool = False, throw: ThrowStart | None = None
     ) -> None:
         self.damaged = 0  # number of messages that could not be read
         self.damage = ''  # the error of the first of them
-        self._canvas = Canvas(stream, throw, is_live=is_live)
+        self._stream = stream
+        self._is_live = is_live
+        self._new_canvas = partial(_Canvas, stream, throw=throw, is_live=is_live)
+        self._canvas = self._new_canvas('')
         self._twins: dict[str, _TwinView] = {}
-        self._arranged: object = None
+        self._arranged: list[layout.TwinLayout] = []
 
     @property
     def is_empty(self) -> bool:
@@ -133,9 +125,9 @@ class Scene:
 
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
-        waiting: dict[str, dict[Topic, list[Message]]] = {}
+        waiting: dict[str, dict[Topic, list[Message]]] = defaultdict(lambda: defaultdict(list))
         for message in messages:
-            node, topic = _identify(message.channel.topic, message.channel.type)
+            node, topic = _drawn_topic(message.channel.topic, message.channel.type)
             if topic is None:
                 continue
             is_state = topic == TWIN_TOPICS.joint_states
@@ -143,41 +135,26 @@ class Scene:
             # Earlier messages belong to the former rig, or to the former repetition
             if topic == TWIN_TOPICS.journal or back:
                 self._draw(node, waiting.pop(node, {}))
-            if back:  # draw the repetition after what is drawn
-                self._twin(node).canvas.delay += back
-            waiting.setdefault(node, {}).setdefault(topic, []).append(message)
+                self._twin(node).canvas.delay += back  # draw a repetition after what is drawn
+            waiting[node][topic].append(message)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._draw(node, groups)
-        if self._canvas.is_live:
+        if self._is_live:
             self.arrange()
 
     def arrange(self) -> None:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
-        has_log = self._canvas.is_drawn
+        has_log, throw = self._canvas.is_drawn, self._canvas.throw
         twins = [twin.layout_state(has_log=has_log) for twin in self._drawn_twins()]
-        if not twins or twins == self._arranged:
-            return
-        self._arranged = twins
-        is_live, throw = self._canvas.is_live, self._canvas.throw
-        views = [layout.arrange(twin, is_live=is_live) for twin in twins]
-        self._canvas.stream.send_blueprint(
-            rrb.Blueprint(
-                views[0] if len(views) == 1 else rrb.Tabs(*views),
-                rrb.TopPanel(state='expanded' if is_live else 'collapsed'),
-                rrb.BlueprintPanel(state='hidden'),
-                rrb.SelectionPanel(state='hidden'),
-                rrb.TimePanel(
-                    state='collapsed',
-                    timeline=layout.STAMP if throw is None else layout.THROW_TIME,
-                    playback_speed=1.0 if is_live else min(0.5 * twins[0].period, 1.0),
-                    play_state='following' if is_live else 'paused',
-                ),
-            )
-        )
+        if twins != self._arranged:
+            self._arranged = twins
+            timeline = layout.STAMP if throw is None else layout.THROW_TIME
+            self._stream.send_blueprint(layout.arrange(twins, timeline, is_live=self._is_live))
 
     def _twin(self, node: str) -> _TwinView:
         if node not in self._twins:
-            self._twins[node] = _TwinView(node, copy(self._canvas))
+            root = rr.new_entity_path(node.split('/'))
+            self._twins[node] = _TwinView(node, self._new_canvas(root))
         return self._twins[node]
 
     def _drawn_twins(self) -> list[_TwinView]:
@@ -185,19 +162,12 @@ class Scene:
 
     def _draw(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
         """Draw messages of one node, or messages that belong to no node."""
-        drawers: Mapping[Topic, Callable[..., None]] = {
-            _LOG: self._draw_line, TWIN_TOPICS.diagnostics: self._draw_diagnostics
-        }
-        if node:
-            twin = self._twin(node)
-            drawers = {topic: partial(draw, twin) for topic, draw in _DRAWERS.items()}
-        for topic, draw in drawers.items():
-            messages = groups.get(topic, ())
-            if messages and topic.type == JOINT_STATE:
-                self._attempt(draw, messages)
-            else:
-                for message in messages:
-                    self._attempt(draw, [message])
+        drawer = self._twin(node) if node else self
+        for topic in [topic for topic in _DRAWERS if topic in groups]:
+            draw, messages = partial(_DRAWERS[topic], drawer), groups[topic]
+            at_once = len(messages) if topic.type == JOINT_STATE else 1
+            for first in range(0, len(messages), at_once):
+                self._attempt(draw, messages[first:first + at_once])
 
     def _attempt(self, draw: Callable[..., None], messages: Sequence[Message]) -> None:
         """Draw messages at once, or individually if one is damaged or different."""
@@ -211,15 +181,16 @@ class Scene:
                 self.damaged += 1
                 self.damage = self.damage or f'{messages[0].channel.topic}: {error!r:.200}'
 
-    def _draw_line(self, message: Message) -> None:
+    def draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
         line = decode(message)
-        shown = (twin.shown_stamp(message) for twin in self._drawn_twins())
-        stamp = next(shown, _to_ns(line.stamp))
-        level = next(name for bound, name in _LEVELS if line.level >= bound)
+        stamp = _to_ns(line.stamp)
+        for twin in self._drawn_twins()[:1]:
+            stamp = twin.stamp_of(message) + twin.canvas.delay
+        level = rr.LoggingHandler.LVL2NAME.get(line.level)
         self._canvas.draw(layout.LOG, stamp, rr.TextLog(f'{line.name}: {line.msg}', level=level))
 
-    def _draw_diagnostics(self, message: Message) -> None:
+    def draw_diagnostics(self, message: Message) -> None:
         """Show diagnostics of a measured track, from a twin or from its calibrator."""
         for stamp, status, values in _read_statuses(message):
             node, _, task = str(status.name).rpartition(': ')
@@ -232,39 +203,37 @@ class Scene:
 class _TwinView:
     """The drawing of one twin, and what it needs to know of earlier messages."""
 
-    def __init__(self, node: str, canvas: Canvas) -> None:
+    def __init__(self, node: str, canvas: _Canvas) -> None:
         self.canvas = canvas
         self._journal = TwinJournal()
         self._readers: dict[Channel, JointStateReader] = defaultdict(JointStateReader)
         self._node = node
-        self._root = rr.new_entity_path(node.split('/'))
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
         self._largest_strain = 0.2  # where the colours end; until the first throw a usual one [-]
         self._track: dict[str, str] = {}  # texts by the task of a node
         self._present: set[str] = set()  # optional panels that are there
         self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
-        phases = rr.StateConfiguration(
-            values=list(layout.PHASES), colors=list(layout.PHASES.values())
-        )
-        self._style('phase', phases)
+        phases, colours = zip(*layout.PHASES.items(), strict=True)
+        canvas.style('phase', rr.StateConfiguration(values=phases, colors=colours))
         for name, line in layout.LINES.items():
             widths = np.broadcast_to(line.widths, len(line.names))
-            self._style(name, rr.SeriesLines(names=line.names, colors=line.colours, widths=widths))
+            lines = rr.SeriesLines(names=line.names, colors=line.colours, widths=widths)
+            canvas.style(name, lines)
         pixels = rr.components.ImageFormat(
             width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
         )
         layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        self._style('side/plate/layer', layer)
+        canvas.style('side/plate/layer', layer)
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
-        self._style('strain/now', cursor)
+        canvas.style('strain/now', cursor)
 
     def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
         """Return the state of the layout."""
         twin = self._journal
         scale = twin.time_scale if self.canvas.throw is None else 1.0
         return layout.TwinLayout(
-            root=self._root,
+            root=self.canvas.root,
             title=self._node,
             period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
             diameter=self._diameter,
@@ -278,24 +247,12 @@ class _TwinView:
         last, self._newest = self._newest, stamp_of(state.data) or self._newest
         return last - self._newest if last > self._newest + _STEP_BACK else 0
 
-    def shown_stamp(self, message: Message) -> int:
-        """Return where a message without a stamp is drawn [ns]."""
-        return self._stamp_of(message) + self.canvas.delay
-
-    def _stamp_of(self, message: Message) -> int:
-        if message.published > _LAST_TIME:
-            raise MessageError(f'a time of {message.published} ns')
+    def stamp_of(self, message: Message) -> int:
+        """Return the stamp of a message without one [ns]."""
         return message.published + self._offset
 
     def _read_joints(self, messages: Sequence[Message]) -> JointStates:
         return self._readers[messages[0].channel].read_all([item.data for item in messages])
-
-    def _path(self, name: str) -> str:
-        return f'{self._root}/{name}'
-
-    def _style(self, name: str, style: rr.AsComponents) -> None:
-        """Set the style of an entity, for all times."""
-        self.canvas.stream.log(self._path(name), style, static=True)
 
     # plots
 
@@ -309,13 +266,12 @@ class _TwinView:
         joints, twin = self._read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
         values = {name: getattr(joints, name) for name in topic.quantities}
-        if names[0] not in joints.names or any(
-            array.shape[1] != len(joints.names) for array in values.values()
-        ):
+        counts = {array.shape[1] for array in values.values()}
+        if names[0] not in joints.names or counts != {len(joints.names)}:
             return  # of another machine
         indices = [joints.names.index(name) if name in joints.names else -1 for name in names]
         for name, array in values.items():
-            values[name] = np.where(np.array(indices) < 0, math.nan, array[:, indices])
+            values[name] = np.pad(array, ((0, 0), (0, 1)), constant_values=math.nan)[:, indices]
         stamps = joints.stamps
         if topic == TWIN_TOPICS.measured_joint_states:
             if twin.rest_heights is None or twin.rig is None:
@@ -332,7 +288,7 @@ class _TwinView:
             for name, height in zip(JOINTS, values['position'].T, strict=True):
                 translation[:, 1] = -_MILLI * height
                 columns = rr.Transform3D.columns(translation=translation)
-                self.canvas.columns(self._path(f'side/{name}'), stamps, columns)
+                self.canvas.columns(f'side/{name}', stamps, columns)
 
     def draw_energies(self, message: Message) -> None:
         """Draw the energies of the throw under way."""
@@ -348,13 +304,12 @@ class _TwinView:
         if joints.names == TWIN_TOPICS.phase_change.joints and joints.position.shape[1] == 1:
             for stamp, number in zip(joints.stamps.tolist(), joints.position[:, 0], strict=True):
                 if number in range(len(phases)):
-                    state = rr.StateChange(state=phases[int(number)])
-                    self.canvas.draw(self._path('phase'), stamp, state)
+                    self.canvas.draw('phase', stamp, rr.StateChange(state=phases[int(number)]))
 
     def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
         """Draw lines of a plot, of values in SI units."""
         columns = rr.Scalars.columns(scalars=values * layout.LINES[name].factors)
-        self.canvas.columns(self._path(name), stamps, columns)
+        self.canvas.columns(name, stamps, columns)
         self._present.add(name)
 
     # the rig to scale: in mm, downwards as Rerun has it
@@ -364,7 +319,7 @@ class _TwinView:
         rig = self._journal.rig
         self._journal.read(message)
         if self._journal.rig is not None and self._journal.rig is not rig:
-            self._draw_rig(self._stamp_of(message), self._journal.rig)
+            self._draw_rig(self.stamp_of(message), self._journal.rig)
 
     def _draw_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig with their names, which follow plate and projectile."""
@@ -378,7 +333,7 @@ class _TwinView:
             'plate/text': _texts((diameter, 0.0, 'plate'), (diameter, -0.5 * thickness, 'layer')),
             'projectile/text': _texts((diameter, -0.5 * length, 'projectile')),
         }.items():
-            self.canvas.draw(self._path(f'side/{name}'), stamp, *content, stays=True)
+            self.canvas.draw(f'side/{name}', stamp, *content, stays=True)
 
     def draw_layer(self, *messages: Message) -> None:
         """Draw the strain of the layer between its ends."""
@@ -401,7 +356,7 @@ class _TwinView:
             *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
             *rr.Transform3D.columns(translation=corner, scale=scale),
         ]
-        self.canvas.columns(self._path('side/plate/layer'), stamps, columns)
+        self.canvas.columns('side/plate/layer', stamps, columns)
 
     def draw_field(self, message: Message) -> None:
         """Draw the strain of the throw under way over time and height, and in the layer."""
@@ -430,13 +385,13 @@ class _TwinView:
             'scale': _picture(scale, width + 0.1, 0.0, 0.1, 1.0),
             'text': _texts(*marks),
         }.items():
-            self.canvas.draw(self._path(f'strain/{name}'), int(stamps[0]), *content)
+            self.canvas.draw(f'strain/{name}', int(stamps[0]), *content)
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
         cursors[:, :, 0] = (width * times / end)[:, None]
         cursors[:, 1, 1] = 1.0
         columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
         after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
-        self.canvas.columns(self._path('strain/now'), np.append(stamps, after), columns)
+        self.canvas.columns('strain/now', np.append(stamps, after), columns)
         length = np.asarray(np.trapezoid(1.0 + strain, heights, axis=1))
         self._stretch_layer(stamps, length, strain)
 
@@ -460,20 +415,22 @@ class _TwinView:
 
     def draw_recommendation(self, message: Message) -> None:
         """Write the table of a recommendation, and draw the map of its rig."""
-        stamp = max(self._stamp_of(message), self._last)
+        stamp = max(self.stamp_of(message), self._last)
         for _, status, values in _read_statuses(message):
             text = words.recommendation_text(status.message, values)
             self._write('recommendation', stamp, text, stays=True)
             figure = charts.draw_energy_map(values, self._journal.settings)
             image = rr.EncodedImage(contents=charts.to_png(figure), media_type='image/png')
-            self.canvas.draw(self._path('landscape'), stamp, image, stays=True)
+            self.canvas.draw('landscape', stamp, image, stays=True)
 
     def _write(self, name: str, stamp: int, text: str, *, stays: bool = False) -> None:
         document = rr.TextDocument(text, media_type='text/markdown')
-        self.canvas.draw(self._path(name), stamp, document, stays=stays)
+        self.canvas.draw(name, stamp, document, stays=stays)
 
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
+    _LOG: Scene.draw_line,
+    TWIN_TOPICS.diagnostics: Scene.draw_diagnostics,
     TWIN_TOPICS.journal: _TwinView.draw_journal,
     **{
         line.topic: partial(_TwinView.draw_joints, topic=line.topic)
@@ -486,25 +443,21 @@ _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     TWIN_TOPICS.throw_field: _TwinView.draw_field,
     TWIN_TOPICS.throw_energies: _TwinView.draw_energies,
 }
-"""
-Methods that draw a message, or several ones of joints.
-
-Later methods need the data of earlier ones.
-"""
+"""Methods that draw a message, or several ones of joints, and need the data of earlier methods."""
 
 
 def is_drawn(topic: str, type_name: str) -> bool:
     """Return whether anything of such a topic is drawn, be it of a twin or of the whole system."""
-    return _identify(topic, type_name)[1] is not None
+    return _drawn_topic(topic, type_name)[1] is not None
 
 
-def _identify(name: str, type_name: str) -> tuple[str, Topic | None]:
+@cache
+def _drawn_topic(name: str, type_name: str) -> tuple[str, Topic | None]:
     """Return node and topic of a name: no node if of all, no topic if it is not drawn."""
     if type_name == _LOG.type:
         return '', _LOG
-    node, topic = identify(name, type_name)
-    is_drawn = topic in _DRAWERS or topic == TWIN_TOPICS.diagnostics
-    return (node, topic) if is_drawn else ('', None)
+    node, topic = find_topic(name, type_name) or ('', None)
+    return (node, topic) if topic in _DRAWERS else ('', None)
 
 
 def _read_cloud(message: Message, topic: Topic) -> Floats:
@@ -546,13 +499,7 @@ def _picture(
 
 def _texts(*places: tuple[float, float, str]) -> list[rr.AsComponents]:
     """Return texts in front of images, each a little below a point x, y of a view."""
-    return [
-        rr.Points2D(
-            [(x, y) for x, y, _ in places],
-            radii=rr.Radius.ui_points(0.0),
-            colors=[WHITE],
-            labels=[text for *_, text in places],
-            show_labels=True,
-            draw_order=40.0,
-        )
-    ]
+    return [rr.Points2D(
+        [(x, y) for x, y, _ in places], labels=[text for *_, text in places], show_labels=True,
+        colors=[WHITE], radii=rr.Radius.ui_points(0.0), draw_order=40.0,
+    )]

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import contextlib
 import errno
 from functools import partial
@@ -151,34 +151,27 @@ class Viewer:
 
     def wait(self) -> None:
         """Wait until it listens; raise ViewerError if it ends before."""
-        with self._explained_errors():
-            self._request(partial(listens, self.port))
+        self._request(partial(listens, self.port))
 
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise ViewerError if the viewer cannot draw."""
         self.wait()
-        with self._explained_errors():
-            client = _client_of(self.port)
-            # the viewer answers other requests before it can draw
-            self._request(partial(client.take_screenshot, max_size=64))
+        client = self._request(partial(_client_of, self.port))
+        # the viewer answers other requests before it can draw
+        self._request(partial(client.take_screenshot, max_size=64))
         return client
 
     def photograph(self, path: Path, timeline: str, seconds: float | None) -> bytes:
         """Return a picture (PNG) of a recording at a time [s]; raise ViewerError if that fails."""
         client = self.client()
-        with self._explained_errors():
-            _open(client, path, timeline, seconds)
-            time.sleep(_SETTLE_TIME)
-            return self._request(client.take_screenshot)
+        self._request(partial(_open, client, path, timeline, seconds))
+        time.sleep(_SETTLE_TIME)
+        return self._request(client.take_screenshot)
 
     def _request(self, request: Callable[[], Result]) -> Result:
-        return _request(request, lambda: self._process.poll() is None)
-
-    @contextlib.contextmanager
-    def _explained_errors(self) -> Iterator[None]:
-        """Raise ViewerError with the last words of the viewer after an error of its client."""
+        """Repeat a request; raise ViewerError with the last words of the viewer if it fails."""
         try:
-            yield
+            return _request(request, lambda: self._process.poll() is None)
         except (RuntimeError, OSError) as error:
             self._errors.seek(0)
             reason = self._errors.read().strip().partition('\n')[0] or str(error)
@@ -204,12 +197,13 @@ def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
         raise ViewerError(f'the viewer has not opened the bag: {error}') from None
 
 
-def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> None:
-    """Open a recording in a viewer, and move the cursor to a time of it [s]."""
+def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> bool:
+    """Open a recording in a viewer, and move the cursor to a time of it [s]; return True."""
     _request(partial(client.open, str(path)))
     _request(lambda: client.get_state().recordings and not client.get_state().loading)
     if seconds is not None:
         client.set_time(timeline, duration=seconds, play_state='paused')
+    return True
 
 
 def _client_of(port: int) -> ViewerClient:

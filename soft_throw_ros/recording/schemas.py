@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 import json
 import os
 from pathlib import Path
 import re
 import sys
+from typing import NamedTuple
 
 _TYPE = re.compile(r'([A-Za-z]\w*)/msg/([A-Za-z]\w*)')
 
@@ -23,19 +23,15 @@ _PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'
     f'{sign}int{bits}' for sign in ('', 'u') for bits in (8, 16, 32, 64)
 }
 
-_SEPARATOR = '=' * 80
-
 
 class SchemaError(ValueError):
     """A message type has no definition in the searched folders, which the message names."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Schema:
+class Schema(NamedTuple):
     """Definition of a message type."""
 
-    # The `.msg` file and, after separators, the files of its component types, in MCAP's encoding
-    # `ros2msg`
+    # The `.msg` file and, after separators, those of its components, in MCAP's form `ros2msg`
     text: str
     type_hash: str  # `RIHS01_...`; empty where there is none, as in ROS 2 Humble
 
@@ -58,7 +54,7 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
             full = '/msg/'.join(short.split('/'))
             if full not in done:
                 done.add(full)
-                yield f'\n{_SEPARATOR}\nMSG: {short}\n'
+                yield f'\n{"=" * 80}\nMSG: {short}\n'
                 yield from texts(full)
 
     try:

@@ -7,13 +7,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
-import functools
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
-from soft_throw_ros.configuration.interface import find_topic, Topic
+from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode
 from soft_throw_ros.storage.message import Message
@@ -94,22 +93,15 @@ class TwinJournal:
         self.settings = settings
 
     def _start_throw(self, entry: journal.Entry) -> None:
-        if 'onset' in entry:
-            onset = journal.decode_onset(entry['onset'])
-            stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
-            rest_heights = onset.rest.plate, onset.rest.projectile
-        else:
+        onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
+        if onset is None:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
-            clock_offset, rest_heights = self.clock_offset_ns, None
         self._take_effect(entry)
-        self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights
+        self.rest_heights = None
+        if onset is not None:
+            stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
+            self.rest_heights = onset.rest.plate, onset.rest.projectile
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
-
-
-@functools.cache
-def identify(name: str, type_name: str) -> tuple[str, Topic | None]:
-    """Return the node and the entry of a topic; the entry is None for topics of other packages."""
-    return find_topic(name, type_name) or ('', None)
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
@@ -117,7 +109,7 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
     journals: dict[str, TwinJournal] = {}
     for message in messages:
-        node, _ = identify(message.channel.topic, message.channel.type)
+        node, _ = find_topic(message.channel.topic, message.channel.type) or ('', None)
         twin = journals.setdefault(node, TwinJournal())
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
             twin.read(message)

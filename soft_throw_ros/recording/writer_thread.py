@@ -21,6 +21,7 @@ OPEN_TIMEOUT = 3.0
 STALL_TIMEOUT = 15.0
 """Longest time without progress of the disk before closing gives up. [s]"""
 
+_OVERHEAD = 500  # memory that a waiting message takes besides its data [bytes]
 _POLL = 0.1  # period of looking for progress at the end [s]
 
 
@@ -63,7 +64,7 @@ class WriterThread:
         """Queue messages for writing; drop them if too much data waits already."""
         free = self._capacity - self._put_size + self._written_size
         for message in messages:
-            size = message.memory
+            size = len(message.data) + _OVERHEAD
             self._count[message.channel] += 1
             if size > free:
                 self._dropped[message.channel] += 1
@@ -85,21 +86,18 @@ class WriterThread:
         """
         self._notes = notes or {}
         self._closing.set()
-        progress, since = self._progress(), time.monotonic()
+        progress, since = 0, time.monotonic()
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
             self._thread.join(_POLL)
-            if progress != self._progress():
-                progress, since = self._progress(), time.monotonic()
+            done = self._written_size + (self.bag.saved_size if self.bag is not None else 0)
+            if done != progress:
+                progress, since = done, time.monotonic()
         if self._thread.is_alive():
             self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
             self._is_over = True
 
     def _unsaved(self) -> Counter[Channel]:
         return self._count - (self.bag.counts if self.bag is not None else Counter())
-
-    def _progress(self) -> tuple[int, int, int]:
-        saved_size = self.bag.saved_size if self.bag is not None else 0
-        return len(self._waiting), self._written_size, saved_size
 
     def _run(self) -> None:
         is_last = False
@@ -132,7 +130,7 @@ class WriterThread:
                 self.bag.write(message)
             else:
                 self._dropped[message.channel] += 1
-            self._written_size += message.memory
+            self._written_size += len(message.data) + _OVERHEAD
             self._waiting.popleft()
         self.bag.flush()
 

@@ -25,8 +25,7 @@ from mcap import records as mcap
 from mcap.reader import SeekingReader
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.storage.bag_lock import is_being_written
-from soft_throw_ros.storage.bag_metadata import METADATA_FILE, read_metadata
+from soft_throw_ros.storage.bag_folder import BagFolder, is_being_written, NO_MCAP
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
 
@@ -35,11 +34,6 @@ MAX_RECORD = 64 * 2**20
 Largest size of a record, of an unpacked chunk, of the index of a file, and of a file without an
 index, whose messages are kept in memory. [bytes]
 """
-
-_NO_MCAP = (
-    'is no bag in MCAP, or is compressed; convert it, as with rosbags: rosbags-convert --src BAG '
-    '--dst NEW --dst-storage mcap'
-)
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
@@ -80,7 +74,7 @@ def open_mcap(path: Path) -> io.BufferedReader:
     begin = stream.peek(len(MAGIC))
     if not begin.startswith(MAGIC):
         stream.close()
-        raise BagError(f'{path} {_NO_MCAP if begin else "is empty"}')
+        raise BagError(f'{path} {NO_MCAP if begin else "is empty"}')
     return stream
 
 
@@ -104,11 +98,10 @@ def _make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> C
 
 def _make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Message:
     """Return a message; raise ValueError if its channel or its times are invalid."""
-    channel = channels.get(record.channel_id)
-    if channel is None:
+    if record.channel_id not in channels:
         raise ValueError(f'nothing defines channel {record.channel_id} of a message')
     times = record.log_time, record.publish_time
-    message = Message(channel, record.data, *times, record.sequence)
+    message = Message(channels[record.channel_id], record.data, *times, record.sequence)
     if not message.has_valid_times:
         raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
     return message
@@ -124,10 +117,7 @@ def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecor
     schemas: dict[int, mcap.Schema] = {}
     channels: dict[int, Channel] = {}
     count = 0
-    reader = StreamReader(
-        stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD
-    )
-    for record in reader.records:
+    for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
         items = [record]
         if isinstance(record, mcap.Chunk):
             _check_size(record.uncompressed_size)
@@ -147,47 +137,18 @@ def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecor
             yield item
 
 
-class BagFolder:
-    """
-    The files of a bag: those of a folder, in their order, or one MCAP file.
-
-    The files contain all data; `metadata.yaml` adds the ROS distribution, and names missing files.
-    BagError is raised if there is no bag in MCAP; the message gives the remedy.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.distribution = ''
-        self.files = [self.path]
-        self.defects: list[str] = []  # files that are missing or empty
-        if not self.path.is_dir():
-            return
-        self.distribution, compression, names = read_metadata(self.path / METADATA_FILE)
-        # `bag_2` before `bag_10`
-        present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
-        if not present or compression == 'message':
-            raise BagError(f'{self.path} {_NO_MCAP}')
-        listed = [self.path / Path(name).name for name in names]
-        self.defects = [f'{path}: the file is missing' for path in listed if path not in present]
-        # A loss of power may leave empty files
-        empty = [path for path in present if path.is_file() and not path.stat().st_size]
-        self.defects += [f'{path}: the file is empty' for path in empty]
-        self.files = [path for path in present if path not in empty] or present
-
-
 class _File:
     """A finished MCAP file; one without a complete index, as of `fastwrite`, is kept in memory."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.channels: dict[Channel, None] = {}
+        self.channels: dict[int, Channel] = {}
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
-        self._channels: dict[int, Channel] = {}
-        self._messages: list[Message] | None = None  # by log time, without an index
+        self._messages: list[Message] = []  # by log time, without an index
         self._stream = open_mcap(path)
         try:
-            self._check_end()
-            if not self._read_index():
+            self._reader = self._read_index()
+            if self._reader is None:
                 self._read_messages()
         except BagError as error:
             self.close()
@@ -201,21 +162,32 @@ class _File:
 
     def messages(self, topics: Collection[str] | None, *, by_log_time: bool) -> Iterator[Message]:
         """Yield messages; raise UnfinishedError where a chunk is damaged."""
-        if self._messages is not None:
+        if self._reader is None:
             yield from (m for m in self._messages if topics is None or m.channel.topic in topics)
             return
         try:
             for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
-                yield _make_message(record, self._channels)
+                yield _make_message(record, self.channels)
         except Exception as error:  # damaged bytes may cause any error in the library
             raise UnfinishedError(self.path, f'a chunk is damaged, {error!s:.150}') from error
 
-    def _read_index(self) -> bool:
-        """Read the index; return whether it names all chunks and channels."""
+    def _read_index(self) -> SeekingReader | None:
+        """Return a reader by the index; None if that does not name all chunks and channels."""
+        size = self._stream.seek(0, os.SEEK_END)
+        self._stream.seek(max(size - _END.size, 0))
+        end = self._stream.read(_END.size)
+        if len(end) < _END.size or not end.endswith(MAGIC):
+            raise ValueError('it was cut off or is being written')
+        _, _, begin, _, checksum, _ = _END.unpack(end)
+        self._stream.seek(begin)
+        if begin and checksum:
+            index = self._stream.read(size - begin - len(MAGIC) - 4)
+            if checksum != zlib.crc32(index):
+                raise ValueError('the checksum of its index is wrong')
         self._stream.seek(0)
-        self._reader = SeekingReader(self._stream, validate_crcs=True)
-        summary = self._reader.get_summary()
-        statistics = summary.statistics if summary is not None else None
+        reader = SeekingReader(self._stream, validate_crcs=True)
+        summary = reader.get_summary()
+        statistics = None if summary is None else summary.statistics
         if (
             summary is None
             or statistics is None
@@ -223,17 +195,15 @@ class _File:
             or statistics.channel_count != len(summary.channels)
             or (statistics.message_count and not summary.chunk_indexes)
         ):
-            return False
+            return None
         for chunk in summary.chunk_indexes:
             _check_size(max(chunk.chunk_length, chunk.uncompressed_size))
-        self._channels = {
-            number: _make_channel(channel, summary.schemas)
-            for number, channel in summary.channels.items() if channel.schema_id in summary.schemas
-        }
-        self.channels = dict.fromkeys(self._channels.values())
+        for number, channel in summary.channels.items():
+            if channel.schema_id in summary.schemas:
+                self.channels[number] = _make_channel(channel, summary.schemas)
         if statistics.message_count:
             self.span = statistics.message_start_time, statistics.message_end_time
-        return True
+        return reader
 
     def _read_messages(self) -> None:
         """Read all messages of a file without an index."""
@@ -243,24 +213,10 @@ class _File:
         self._stream.seek(0)
         items = read_records(self._stream)
         self._messages = [item for item in items if isinstance(item, Message)]
-        self.channels = {message.channel: None for message in self._messages}
+        self.channels = dict(enumerate({message.channel: 0 for message in self._messages}))
         self._messages.sort(key=lambda message: message.log_time)
         if self._messages:
             self.span = self._messages[0].log_time, self._messages[-1].log_time
-
-    def _check_end(self) -> None:
-        """Raise ValueError if there is no complete end, or the index has another checksum."""
-        size = self._stream.seek(0, os.SEEK_END)
-        self._stream.seek(max(size - _END.size, 0))
-        end = self._stream.read(_END.size)
-        if len(end) < _END.size or not end.endswith(MAGIC):
-            raise ValueError('it was cut off or is being written')
-        _, _, begin, _, checksum, _ = _END.unpack(end)
-        if begin:
-            self._stream.seek(begin)
-            index = self._stream.read(size - begin - len(MAGIC) - 4)
-            if checksum not in (0, zlib.crc32(index)):
-                raise ValueError('the checksum of its index is wrong')
 
 
 class BagReader:
@@ -285,8 +241,8 @@ class BagReader:
             if isinstance(error, UnfinishedError) and is_being_written(self.path):
                 raise BagError(f'{self.path} is being written; stop the recorder before') from None
             raise
-        # All files share one object for each channel
-        self.channels = tuple(dict.fromkeys(c for file in self._files for c in file.channels))
+        channels = (file.channels.values() for file in self._files)
+        self.channels = tuple(dict.fromkeys(itertools.chain(*channels)))  # each one once
         self._spans = [file.span for file in self._files if file.span is not None]
         # Log times of the first and the last message; 0 if there is none [ns]
         self.start_time = min((first for first, _ in self._spans), default=0)

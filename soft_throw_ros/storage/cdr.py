@@ -34,31 +34,6 @@ class MessageError(ValueError):
     """Bytes are no message of their type."""
 
 
-class JointStateEncoder:
-    """
-    Write sensor_msgs/JointState of always the same joints.
-
-    `series` is how many of position, velocity and effort there are, in this order.
-    """
-
-    def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
-        counts = [len(names) if number < series else 0 for number in range(3)]
-        texts = [text.encode() + b'\x00' for text in (frame, *names)]
-        self._layout = _Layout(texts, counts)
-
-    def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
-        """
-        Return a message as bytes to publish.
-
-        `values` are those of one series after another, as in a `State` of plate and projectile.
-        """
-        return self._layout.pack(divmod(stamp_ns, SECOND), values)
-
-    def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
-        """Return a message made of an array per series."""
-        return self.encode(stamp_ns, np.concatenate(series).tolist())
-
-
 def stamp_of(data: bytes) -> int:
     """Return the stamp of a message that begins with a header; 0 if it is shorter [ns]."""
     if len(data) < len(_HEADER) + _STAMP.size:
@@ -78,45 +53,6 @@ class JointStates(NamedTuple):
     effort: Floats
 
 
-class JointStateReader:
-    """
-    Decoder of messages sensor_msgs/JointState.
-
-    The reader keeps the layout of the last message. A message with the same layout takes two
-    microseconds; another frame, other joints or other lengths take more. Padding is ignored.
-    """
-
-    def __init__(self) -> None:
-        self._last: _Layout | None = None
-
-    def read_all(self, datas: Sequence[bytes]) -> JointStates:
-        """
-        Read at least one message into arrays.
-
-        MessageError is raised if one is no JointState, or its joints or lengths differ from the
-        first.
-        """
-        rows = [self._read(data) for data in datas]
-        names = rows[0][1]
-        shapes = {(row[1], *map(len, row[2:])) for row in rows}
-        if len(shapes) > 1:
-            raise MessageError(
-                f'messages JointState of one topic are not all of {", ".join(names)} alike'
-            )
-        stamps, _, *series = zip(*rows, strict=True)
-        arrays = [np.array(values, float) for values in series]
-        return JointStates(np.array(stamps, np.int64), names, *arrays)
-
-    def _read(self, data: bytes) -> _Values:
-        values = self._last.unpack(data) if self._last is not None else None
-        if values is None:
-            self._last = _find_layout(data)
-            values = self._last.unpack(data)
-        if values is None:
-            raise MessageError('its lengths do not fit')
-        return values
-
-
 class _Layout:
     """
     The fields of a sensor_msgs/JointState with given texts and lengths of its series.
@@ -126,38 +62,23 @@ class _Layout:
 
     def __init__(self, texts: Sequence[bytes], counts: Sequence[int]) -> None:
         """`texts` are frame and names with their zero bytes, `counts` the lengths of series."""
-        self.names = tuple(text.rstrip(b'\x00').decode() for text in texts[1:])
-        self._format, self._size = '<2s2xiI', _STAMP.size  # the size counts after the header
-        self._texts: list[bytes | int] = []
-        self._add_text(texts[0])
-        self._add('I', 4)
-        self._texts.append(len(texts) - 1)
-        for text in texts[1:]:
-            self._add_text(text)
+        frame, *names = texts
+        self.names = tuple(name.rstrip(b'\x00').decode() for name in names)
+        self._texts: list[int | bytes] = [len(frame), frame, len(names)]
+        for name in names:
+            self._texts += [len(name), name]
+        fields = '<2s2xiI'
+        for item in self._texts:
+            if isinstance(item, bytes):
+                fields += f'{len(item)}s'
+            else:
+                fields += f'{-struct.calcsize(fields) % 4}xI'
         for count in counts:
-            self._add('I', 4)
-            if count:
-                self._add(f'{count}d', 8)
-        self._struct = struct.Struct(self._format)
+            fields += f'{-struct.calcsize(fields) % 4}xI'
+            if count:  # doubles are aligned from the end of the header on
+                fields += f'{(len(_HEADER) - struct.calcsize(fields)) % 8}x{count}d'
+        self._struct = struct.Struct(fields)
         self._counts = counts
-
-    def _add_text(self, text: bytes) -> None:
-        self._add(f'I{len(text)}s', 4)
-        self._texts += [len(text), text]
-
-    def _add(self, field: str, size: int) -> None:
-        """Add a field that is aligned to a multiple of a size."""
-        self._format += f'{-self._size % size}x{field}'
-        self._size = struct.calcsize(self._format) - len(_HEADER)
-
-    def pack(self, stamp: tuple[int, int], values: Sequence[float]) -> bytes:
-        """Return a message."""
-        first, second, third = self._counts
-        both = first + second
-        return self._struct.pack(
-            _HEADER[:2], *stamp, *self._texts,
-            first, *values[:first], second, *values[first:both], third, *values[both:],
-        )
 
     def unpack(self, data: bytes) -> _Values | None:
         """Read a message; return None if it has another layout."""
@@ -177,18 +98,85 @@ class _Layout:
         return seconds * SECOND + nanoseconds, self.names, position, velocity, effort
 
 
+class JointStateEncoder(_Layout):
+    """
+    Write sensor_msgs/JointState of always the same joints.
+
+    `series` is how many of position, velocity and effort there are, in this order.
+    """
+
+    def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
+        counts = [len(names) if number < series else 0 for number in range(3)]
+        super().__init__([text.encode() + b'\x00' for text in (frame, *names)], counts)
+
+    def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
+        """
+        Return a message as bytes to publish.
+
+        `values` are those of one series after another, as in a `State` of plate and projectile.
+        """
+        first, second, third = self._counts
+        both = first + second
+        return self._struct.pack(
+            _HEADER[:2], *divmod(stamp_ns, SECOND), *self._texts,
+            first, *values[:first], second, *values[first:both], third, *values[both:],
+        )
+
+    def encode_arrays(self, stamp_ns: int, series: Sequence[Floats]) -> bytes:
+        """Return a message made of an array per series."""
+        return self.encode(stamp_ns, np.concatenate(series).tolist())
+
+
+class JointStateReader:
+    """
+    Decoder of messages sensor_msgs/JointState.
+
+    The reader keeps the layout of the last message. A message with the same layout takes two
+    microseconds; another frame, other joints or other lengths take more. Padding is ignored.
+    """
+
+    def __init__(self) -> None:
+        self._last = _Layout([b''], [0, 0, 0])
+
+    def read_all(self, datas: Sequence[bytes]) -> JointStates:
+        """
+        Read at least one message into arrays.
+
+        MessageError is raised if one is no JointState, or its joints or lengths differ from the
+        first.
+        """
+        rows = [self._read(data) for data in datas]
+        names = rows[0][1]
+        if len({(row[1], *map(len, row[2:])) for row in rows}) > 1:
+            raise MessageError(
+                f'messages JointState of one topic are not all of {", ".join(names)} alike'
+            )
+        stamps, _, *series = zip(*rows, strict=True)
+        arrays = [np.array(values, float) for values in series]
+        return JointStates(np.array(stamps, np.int64), names, *arrays)
+
+    def _read(self, data: bytes) -> _Values:
+        values = self._last.unpack(data)
+        if values is None:
+            self._last = _find_layout(data)
+            values = self._last.unpack(data)
+        if values is None:
+            raise MessageError('its lengths do not fit')
+        return values
+
+
 def _find_layout(data: bytes) -> _Layout:
     """Return the layout of a message; raise MessageError if the bytes are no JointState."""
     if data[:2] != _HEADER[:2]:
         raise MessageError(f'not little-endian CDR, which begins 00 01: {data[:8].hex(" ")!r}')
-    body, at = data[len(_HEADER):], _STAMP.size
+    at = len(_HEADER) + _STAMP.size
 
     def take(size: int, alignment: int = 1) -> bytes:
         nonlocal at
-        at += -at % alignment + size
-        if at > len(body):
-            raise MessageError(f'{len(body)} bytes after its head, which should be at least {at}')
-        return body[at - size:at]
+        at += (len(_HEADER) - at) % alignment + size
+        if at > len(data):
+            raise MessageError(f'{len(data)} bytes, which should be at least {at}')
+        return data[at - size:at]
 
     def number() -> int:
         return int.from_bytes(take(4, 4), 'little')
@@ -198,8 +186,6 @@ def _find_layout(data: bytes) -> _Layout:
     for _ in range(3):
         counts.append(number())
         take(8 * counts[-1], 8 if counts[-1] else 1)
-    if len(body) - at > 7:
-        raise MessageError(f'{len(body) - at} bytes follow the message')
     try:
         return _Layout(texts, counts)
     except UnicodeDecodeError as error:

@@ -12,9 +12,6 @@ SECOND = 1_000_000_000  # [ns]
 LATEST = 2**63 - 1
 """The latest time that ROS knows. [ns]"""
 
-OVERHEAD = 500
-"""Memory that an object takes besides its data. [bytes]"""
-
 
 class BagError(ValueError):
     """
@@ -54,11 +51,6 @@ class Message(NamedTuple):
     def published(self) -> int:
         """Time of publishing, or of receiving if the recorder did not note the former [ns]."""
         return self.publish_time or self.log_time
-
-    @property
-    def memory(self) -> int:
-        """Approximate size in memory [bytes]."""
-        return len(self.data) + OVERHEAD
 
     @property
     def has_valid_times(self) -> bool:

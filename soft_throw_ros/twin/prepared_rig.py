@@ -121,22 +121,19 @@ class PreparedRig:
 
 def layer_of(stepper: Stepper) -> LayerState:
     """Return the present state of the layer."""
-    rows = np.empty((3, FIELD_POINTS))
-    stepper.read_layer(rows)
-    return LayerState(*rows)
+    return LayerState(*stepper.read_layer()[:3].copy())
 
 
 def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> ThrowField:
     """Return the strain of the layer and the energies over a time [s] from the start on."""
     times = np.linspace(0.0, length, THROW_FIELD_ROWS)
-    strain, layer = np.empty((THROW_FIELD_ROWS, FIELD_POINTS)), np.empty((4, FIELD_POINTS))
+    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
     energies = []
     for row, time in enumerate(times.tolist()):
         events = stepper.advance_to(time)
         if not events and row % _ROWS_PER_ENERGY == 0:
             energies.append((time, *_energies(stepper)))
-        stepper.read_layer(layer)
-        strain[row] = layer[3]
+        strain[row] = stepper.read_layer()[3]
     heights = np.linspace(0.0, stepper.rig.layer.thickness, FIELD_POINTS)
     return ThrowField(times, heights, strain, np.array(energies), start_ns)
 

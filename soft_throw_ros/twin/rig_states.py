@@ -289,7 +289,7 @@ class OngoingThrow(ABC):
             last=releases[-1] if releases else None,
             peak_plate_speed=peak_speed,
             peak_strain=loads.strain,
-            max_strain=self.session.config.max_strain,
+            max_strain=self.session.config.rig.layer.linear_range,
             peak_acceleration=loads.acceleration,
             peak_plate_force=loads.plate_force,
             plate_work=stepper.plate_work,

@@ -1,6 +1,5 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-from pathlib import Path
 import re
 from typing import Any
 
@@ -50,21 +49,12 @@ def test_read_finds_the_node_in_every_notation(write: Any, text: str) -> None:
     assert files.read(write(text)) == {**DEFAULTS, **THICK}
 
 
-@pytest.mark.parametrize(
-    ('pattern', 'node', 'matches'),
-    [
-        ('/**/twin', '/twin', True),
-        ('/**/twin', '/rig1/sub/twin', True),
-        ('/*', '/twin', True),
-        ('/*/twin', '/twin', False),
-        ('/rig1/**', '/rig1/sub/twin', True),
-        ('twin', '/rig1/twin', False),
-        ('/a(b', '/twin', False),
-    ],
-)
-def test_read_matches_names_as_ros_does(
-    write: Any, pattern: str, node: str, matches: bool
-) -> None:
+@pytest.mark.parametrize(('pattern', 'node', 'matches'), [
+    ('/**/twin', '/twin', True), ('/**/twin', '/rig1/sub/twin', True), ('/*', '/twin', True),
+    ('/rig1/**', '/rig1/sub/twin', True), ('/*/twin', '/twin', False),
+    ('twin', '/rig1/twin', False), ('/a(b', '/twin', False),
+])
+def test_read_matches_names_as_ros_does(write: Any, pattern, node, matches) -> None:
     path = write(f'{pattern}: {{ros__parameters: {{layer.thickness: 0.01}}}}')
     if matches:
         assert files.read(path, node=node)['layer.thickness'] == 0.01
@@ -88,9 +78,7 @@ def test_read_matches_names_as_ros_does(
         (None, 'No such file'),
     ],
 )
-def test_bad_file_is_refused_with_its_name_the_value_and_the_rule(
-    write: Any, text: Any, message: str
-) -> None:
+def test_bad_file_is_refused_with_its_name_the_value_and_the_rule(write, text, message) -> None:
     path = write(text or '')
     if text is None:
         path.unlink()
@@ -108,9 +96,7 @@ TEXTS = (
 
 @settings(max_examples=30)
 @given(data=st.data(), text=st.sampled_from(TEXTS))
-def test_written_file_is_read_back_by_us_and_by_yaml(
-    tmp_path_factory: Any, data: Any, text: str
-) -> None:
+def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory, data, text) -> None:
     path = tmp_path_factory.getbasetemp() / 'written.yaml'
     thickness, amplitude = data.draw(st.floats(5e-4, 0.1)), data.draw(st.floats(1e-5, 0.1))
     request = {'layer.thickness': thickness, 'engine.amplitude': amplitude, 'throw.max_events': 3}
@@ -162,7 +148,7 @@ FOAM = (
 @given(data=st.data(), encoding=st.sampled_from(['utf-8', 'utf-8', 'utf-16', 'latin-1']))
 @pytest.mark.parametrize(('read', 'valid'), [(files.read, CONFIG), (layers.library, [FOAM])])
 def test_damaged_yaml_is_read_or_refused_with_its_name(
-    tmp_path: Path, read: Any, valid: list[str], data: Any, encoding: str
+    tmp_path, read, valid, data, encoding
 ) -> None:
     path = tmp_path / 'file.yaml'
     path.write_bytes(data.draw(texts(*valid)).encode(encoding, 'replace'))

@@ -7,11 +7,9 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 
-OWN = [topic for topic in (*TWIN_TOPICS, *RECORDER_TOPICS) if '~' in topic.name]
-
 
 def test_topic_is_found_by_its_full_name_and_type_and_no_other_is() -> None:
-    for topic in OWN:
+    for topic in (topic for topic in (*TWIN_TOPICS, *RECORDER_TOPICS) if '~' in topic.name):
         for node in ('/twin', '/rig1/twin', '/layer'):
             assert find_topic(topic.at(node).name, topic.type) == (node, topic)
     assert find_topic('/twin/phase', JOINT_STATE) is None

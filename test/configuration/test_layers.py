@@ -65,9 +65,7 @@ def test_material_makes_a_layer_of_each_thickness_and_its_modulus_a_speed(write:
         (FOAM, 'foam: soft\n', "'foam': must be PROPERTY: VALUE, got 'soft'"),
     ],
 )
-def test_error_is_quoted_with_file_and_material(
-    write: Any, old: str, new: str, message: str
-) -> None:
+def test_error_is_quoted_with_file_and_material(write: Any, old, new, message) -> None:
     assert FOAM.count(old) == 1
     path = write(FOAM.replace(old, new))
     with pytest.raises(ParameterError, match=rf'^{re.escape(str(path))}: .*{message}') as refused:

@@ -22,27 +22,17 @@ def lines(separator=',', start=0.0, scale=1.0):
     return [f'{t:.6f}{separator}{z:.12f}' for t, z in zip(TIMES, heights, strict=True)]
 
 
-@pytest.mark.parametrize(
-    ('head', 'separator', 'scale'),
-    [
-        ('', ',', 1.0),
-        ('t [s];plate [mm]\n', ';', 1e3),
-        ('time,height\n', ',', 1.0),
-    ],
-)
+@pytest.mark.parametrize(('head', 'separator', 'scale'), [
+    ('', ',', 1.0), ('t [s];plate [mm]\n', ';', 1e3), ('time,height\n', ',', 1.0),
+])
 def test_file_agrees_with_the_motion_that_it_samples(write, head, separator, scale):
     path = write(head + '\n'.join(lines(separator, start=0.01234, scale=scale)))
     settings = settings_with(path)
     assert settings['engine.motion'] == 'file'
     assert TWIN.change(settings, {'engine.motion_file': ''})['engine.motion'] == 'underdamped'
-    result, expected = simulate(rig_of(settings)), simulate(Rig())
-    frequency, scale = Rig().engine.frequency, Rig().engine.speed_scale
-    assert result.ejection_time * frequency == pytest.approx(
-        expected.ejection_time * frequency, abs=1e-4
-    )
-    assert result.ejection_speed / scale == pytest.approx(
-        expected.ejection_speed / scale, abs=1e-4
-    )
+    result, expected, engine = simulate(rig_of(settings)), simulate(Rig()), Rig().engine
+    assert abs(result.ejection_time - expected.ejection_time) * engine.frequency < 1e-4
+    assert abs(result.ejection_speed - expected.ejection_speed) / engine.speed_scale < 1e-4
 
 
 def test_written_motion_is_read_back_and_an_encoded_one_bit_by_bit(write):
@@ -85,7 +75,7 @@ def test_record_agrees_with_the_motion_that_it_samples(start, jitter):
     """At 5 kHz, wherever between two samples it starts; the height at rest does not matter."""
     times = 2e-4 * (np.arange(600) + jitter * np.random.default_rng(3).uniform(size=600))
     motion = motions.motion_from_record(times, PLATE.position(times - start) + 3e-3)
-    assert motion.start_time == 0.0
+    assert motion.times[0] == 0.0
     inside = np.linspace(0.0, 0.095, 4001)
     misfit = motion.velocity(inside) - PLATE.velocity(inside)
     assert np.abs(misfit).max() < 1e-3 * PLATE.peak_velocity

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 import re
-from typing import Any
 
 from bags import accepted, WORDS
 from hypothesis import given, settings
@@ -26,9 +25,7 @@ def test_defaults_obey_their_own_rules() -> None:
 
 
 @given(number=st.sampled_from(NUMBERS), share=st.floats(0.0, 1.0))
-def test_every_number_in_the_range_and_none_beyond_it_is_accepted(
-    number: Any, share: float
-) -> None:
+def test_every_number_in_the_range_and_none_beyond_it_is_accepted(number, share) -> None:
     table, entry = number
     value = min(entry.low + share * (entry.high - entry.low), entry.high)
     value = int(value) if isinstance(entry.default, int) else value
@@ -81,9 +78,7 @@ VALUES = (
 
 @settings(max_examples=300)
 @given(data=st.data(), table=st.sampled_from(TABLES))
-def test_any_values_become_valid_settings_or_are_refused_by_name_or_value(
-    data: Any, table: Any
-) -> None:
+def test_any_values_become_valid_settings_or_are_refused_by_name_or_value(data, table) -> None:
     names = st.sampled_from([entry.name for entry in table.entries]) | st.text(max_size=8)
     values = st.sampled_from([-1.0, 0.0, 1e-3, 1.0, 1e3]) | VALUES
     request = data.draw(st.dictionaries(names, values, min_size=1, max_size=2))

@@ -78,9 +78,7 @@ def test_single_changes_leave_consistent_settings(changes: Any) -> None:
          {'recommendation.target_height': 0.0}),
     ],
 )
-def test_change_adds_implied_changes_and_keeps_its_arguments(
-    settings, request_, implied
-) -> None:
+def test_change_adds_implied_changes_and_keeps_its_arguments(settings, request_, implied) -> None:
     before = dict(settings), dict(request_)
     assert TWIN.change(settings, request_) == {**request_, **implied}
     assert (settings, request_) == before
@@ -128,9 +126,7 @@ def test_stack_is_kept_in_numbers_after_changes_of_the_library(mine: Path, reque
     assert again['layer.stack'] == numbers.replace(' 20.0', ' 9.0')
 
 
-def test_named_stack_replaces_another_and_stays_while_its_values_are_set_again(
-    mine: Path
-) -> None:
+def test_named_stack_replaces_another_and_stays_while_its_values_are_set_again(mine) -> None:
     settings = dict(DEFAULTS)
     for name in ('both', 'other'):
         request_ = {'layer.library': str(mine), 'layer.name': name}

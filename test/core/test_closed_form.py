@@ -57,24 +57,20 @@ def gravity_on(gravity_ratio, speed_ratio, damping_ratio):
     return 2 * mp.pi * gravity_ratio * factor / mp.mpf(speed_ratio)
 
 
-def exact_release_near(phase, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
-    """Compute t_e f and alpha of the release nearest to a phase, by Newton's method."""
+def assert_exact(release, *case, phase_error=0.0, alpha_error=1e-12):
+    """Assert that a release agrees with the nearest exact release, by Newton's method."""
+    mass_ratio, speed_ratio, damping_ratio, gravity_ratio = (*case, 0.0)[:4]
     case = mass_ratio, speed_ratio, damping_ratio
     gravity = gravity_on(gravity_ratio, speed_ratio, damping_ratio)
-    time = mp.mpf(phase) * speed_ratio
+    time = mp.mpf(release.ejection_phase) * speed_ratio
     for _ in range(2):
         acceleration = speed_of_projectile(time, *case, derivative=1) + gravity
         time -= acceleration / speed_of_projectile(time, *case, derivative=2)
     speed = speed_of_projectile(time, *case) / mp.sqrt(1 - mp.mpf(damping_ratio) ** 2)
-    return time / speed_ratio, (speed / peak_velocity_ratio(damping_ratio)) ** 2
-
-
-def assert_exact(release, mass_ratio, speed_ratio, damping_ratio, gravity_ratio=0.0):
-    """Assert that a release agrees with the nearest exact release."""
-    case = mass_ratio, speed_ratio, damping_ratio, gravity_ratio
-    phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
-    assert release.ejection_phase == pytest.approx(float(phase), rel=0.0, abs=1e-12)
-    assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=1e-12)
+    alpha = float((speed / peak_velocity_ratio(damping_ratio)) ** 2)
+    phase = float(time / speed_ratio)
+    assert release.ejection_phase == pytest.approx(phase, rel=phase_error, abs=1e-12)
+    assert release.energy_transfer == pytest.approx(alpha, rel=alpha_error, abs=1e-12)
 
 
 def random_cases(size, seed, gravity=0.0):
@@ -107,31 +103,22 @@ def test_release_is_exact(case):
 def test_releases_agree_with_the_laplace_series(gravity):
     cases = random_cases(40, seed=1, gravity=gravity)
     releases = releases_of(*cases)
-    early = releases.ejection_phase * cases[1] < 41.0  # the series costs its square
-    assert np.count_nonzero(early) > 30
-    for i in np.flatnonzero(early):
-        release = [values[i] for values in releases]
-        assert_exact(FirstRelease(*release), *(float(case[i]) for case in cases))
+    early = np.flatnonzero(releases.ejection_phase * cases[1] < 41.0)  # it costs its square
+    assert early.size > 30
+    for i in early:
+        assert_exact(FirstRelease(*np.array(releases)[:, i]), *(float(case[i]) for case in cases))
 
 
 @pytest.mark.parametrize(
     'case',
     [
-        (1e-12, 3.0, 0.0),
-        (1e-9, 9.0, 0.0),
-        (1e-6, 9.0, 0.2),
-        (1e6, 20.0, 0.0),
-        (0.1, 1e-6, 0.0),
-        (1e-12, 1e-6, 0.5),
-        (0.3, 1e-3, 0.99),
+        (1e-12, 3.0, 0.0), (1e-9, 9.0, 0.0), (1e-6, 9.0, 0.2), (1e6, 20.0, 0.0), (0.1, 1e-6, 0.0),
+        (1e-12, 1e-6, 0.5), (0.3, 1e-3, 0.99),
         (45.6, 120.0, 0.3),  # the steady wave has an amplitude of 34, the largest promised
     ],
 )
 def test_release_is_exact_at_extremes(case):
-    release = releases_of(*case)
-    phase, energy_transfer = exact_release_near(release.ejection_phase, *case)
-    assert release.ejection_phase == pytest.approx(float(phase), rel=1e-12)
-    assert release.energy_transfer == pytest.approx(float(energy_transfer), rel=1e-9, abs=1e-12)
+    assert_exact(releases_of(*case), *case, phase_error=1e-12, alpha_error=1e-9)
 
 
 # By the same recursion with 40 digits: beyond, rounding would spoil alpha, as for the first of the
@@ -153,11 +140,8 @@ def test_no_release_is_refused_in_the_promised_range():
     'case',
     [
         # G dips below 0 within a wave interval and is positive again at its end
-        (0.3, 300.0, 0.0, 0.0),
-        (0.55, 50.0, 0.0, 0.0),
-        (0.6, 100.0, 0.2, 0.0),
-        (1.25, 101.0, 0.0, 0.0),
-        (2.15, 950.0, 0.0, 0.0),
+        (0.3, 300.0, 0.0, 0.0), (0.55, 50.0, 0.0, 0.0), (0.6, 100.0, 0.2, 0.0),
+        (1.25, 101.0, 0.0, 0.0), (2.15, 950.0, 0.0, 0.0),
         # before the plate stops, and the projectile would be caught again
         (0.005397489576859395, 0.2353127994849778, 0.20488508212590453, 1.1027562463539),
         # where Halley's method cycles
@@ -168,9 +152,8 @@ def test_no_release_is_refused_in_the_promised_range():
     ],
 )
 def test_release_is_the_first_one_and_exact(case):
-    release = releases_of(*case)
+    release, weight = releases_of(*case), gravity_on(case[3], case[1], case[2])
     assert_exact(release, *case)
-    weight = gravity_on(case[3], case[1], case[2])
     for time in np.linspace(1.0, release.ejection_phase * case[1], 200, endpoint=False)[1:]:
         assert speed_of_projectile(mp.mpf(time), *case[:3], derivative=1) > -weight
 
@@ -211,3 +194,9 @@ def test_spring_leaves_at_the_first_zero_of_its_force(q):
     speed = (q**2 * np.sin(t[-1]) - q * np.sin(q * t[-1])) / (q**2 - 1.0)
     assert release.speed == pytest.approx(speed, rel=1e-9)
     assert release.energy_transfer == pytest.approx(speed**2, rel=1e-9)
+
+
+def test_ratios_are_refused_with_the_value():
+    for name, value in (('mass_ratio', 0.0), ('speed_ratio', np.inf), ('damping_ratio', 1.0)):
+        with pytest.raises(ValueError, match=f'^{name} must be .* got {value!r}$'):
+            first_releases(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, name: value})

@@ -21,10 +21,9 @@ gels = [
     for loss in ('kelvin_voigt', 'constant')
 ]
 for stepper in (WaveStepper(Rig()), *map(CellStepper, gels), CellStepper(gels[0], cells=50)):
-    layer = np.empty((3, stepper.field_points))
     for tick in range(500):
         stepper.advance_to(tick * 1e-3)
-        stepper.read_layer(layer)
+        layer = stepper.read_layer()
         energies = [stepper.stored_energy(), stepper.plate_work]
         digest.update(stepper.state.tobytes() + layer.tobytes() + np.array(energies).tobytes())
 print(digest.hexdigest())

@@ -37,15 +37,11 @@ CAP = Layer(thickness=1e-4, wave_speed=200.0, density=5000.0, loss_tangent=0.1)
 STACKED = Rig(layer=Layer.of_sheets((Layer(thickness=8e-3), CAP)))
 GEL = Rig(layer=Layer(loss_tangent=0.05, stress_strain_law='neo_hookean', loss='constant'))
 SLOW = Layer(thickness=0.1, wave_speed=1.0, diameter=1e-3)
-LAYERS_ON_THE_PLATE = [
-    partial(WaveStepper, Rig()),
-    partial(CellStepper, Rig()),
-    partial(CellStepper, LOSSY),
-    partial(CellStepper, GEL),
+makers = [
+    partial(WaveStepper, Rig()), *(partial(CellStepper, rig) for rig in (Rig(), LOSSY, GEL))
 ]
-OTHERS = [partial(CellStepper, STACKED)]
-steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE)
-all_steppers = pytest.mark.parametrize('make', LAYERS_ON_THE_PLATE + OTHERS)
+steppers = pytest.mark.parametrize('make', makers)
+all_steppers = pytest.mark.parametrize('make', [*makers, partial(CellStepper, STACKED)])
 
 
 def plate_states(times):
@@ -58,36 +54,39 @@ def plate_states(times):
 
 def observe(model):
     """Return all outputs of a stepper as bytes."""
-    layer = np.empty((4, model.field_points))
-    model.read_layer(layer)
     numbers = [
-        *model.state, *layer.ravel(), *model.loads, model.plate_work, model.stored_energy(),
-        model.surface_position,
+        *model.state, *model.read_layer().ravel(), *model.loads, model.plate_work,
+        model.stored_energy(), model.surface_position,
     ]
     return np.array(numbers).tobytes(), model.events(), model.in_contact, model.event_count
 
 
 @all_steppers
-def test_results_do_not_depend_on_the_requested_times(make):
-    direct, wandering = make(), make()
-    for time in np.sort(np.random.default_rng(2).uniform(0.0, 0.35, 40)):
-        wandering.advance_to(time)
-        observe(wandering)
-    direct.advance_to(0.35)
-    wandering.advance_to(0.35)
-    assert observe(direct) == observe(wandering)
-    assert direct.event_count >= 1
+def test_results_depend_on_the_time_alone(make):
+    """Neither on the times of other requests, nor on the throw before a reset."""
+    model, fresh = make(), make()
+    assert model.advance_to(0.35) >= 1
+    end = observe(model)
+    model.reset()
+    assert model.event_count == 0
+    times = np.random.default_rng(2).uniform(0.0, 0.35, 40)
+    for time in [1e-3, *np.sort(times)]:  # the first one before a wave has come back
+        model.advance_to(time)
+        fresh.advance_to(time)
+        assert observe(model) == observe(fresh)
+    model.advance_to(0.35)
+    assert observe(model) == end
 
 
 @all_steppers
 def test_stepper_is_advanced_to_its_first_release_or_gives_up(make):
     model = make()
-    assert model.advance_to_release(latest=1e-3, step=3e-4) is None
+    assert model.advance_to_release(latest=1e-3) is None
     assert model.state[TIME] == 1e-3
-    model.reset()
-    release = model.advance_to_release(latest=1.0, step=1e-3)
+    release = model.advance_to_release(latest=1.0)
     assert release.kind == 'release'
-    assert release.time <= model.state[TIME] < release.time + 1e-3
+    step = 0.25 * (1.0 / model.rig.natural_frequency + model.rig.crossing_time)
+    assert release.time <= model.state[TIME] < release.time + step
 
 
 @pytest.mark.parametrize('stepper', [WaveStepper, CellStepper])
@@ -116,12 +115,12 @@ def test_state_and_layer_agree_with_the_exact_history(make, error, gravity):
     """Except near kinks, which travel between plate and top, and where landings make jumps."""
     rig = Rig(gravity=gravity)
     history, model = follow(rig, max_events=1, until=0.02), make(rig, field_points=33)
-    depths, layer = np.linspace(0.0, rig.layer.thickness, 33), np.empty((4, 33))
+    depths = np.linspace(0.0, rig.layer.thickness, 33)
     scale, wave_speed = rig.engine.speed_scale, rig.layer.wave_speed
     force = rig.layer.impedance * scale
     for time in np.linspace(0.0, 0.99 * history.events[0].time, 60):
         model.advance_to(time)
-        model.read_layer(layer)
+        layer = model.read_layer()
         phases = np.stack([time - depths / wave_speed, time + depths / wave_speed])
         phases /= rig.crossing_time
         smooth = (abs(phases - phases.round()) > 0.06).all(axis=0)
@@ -147,38 +146,21 @@ def test_state_and_layer_agree_with_the_exact_history(make, error, gravity):
 
 
 @all_steppers
-def test_reset_repeats_the_throw_bit_for_bit(make):
-    model, fresh = make(), make()
-    model.advance_to(0.35)
-    model.reset()
-    assert model.event_count == 0
-    for time in (0.001, 0.05):  # the first one before a wave has come back
-        model.advance_to(time)
-        fresh.advance_to(time)
-        assert observe(model) == observe(fresh)
-
-
-@all_steppers
 def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     model = make(is_measured=True)
     rig = model.rig
     model.append_plate_states([1.0, 1.001], np.zeros((2, 3)))
     model.advance_to(0.5)
-    layer = np.empty((3, model.field_points))
-    model.read_layer(layer)
-    weight = rig.projectile.mass * rig.gravity
-    assert model.rest_position == pytest.approx(rig.rest_height, abs=1e-12)
-    assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == 0.0
-    assert model.state[PROJECTILE_POSITION] == pytest.approx(model.rest_position)
-    assert model.state[PROJECTILE_FORCE] == pytest.approx(weight)
-    assert model.state[PLATE_FORCE] == pytest.approx(-weight)
-    assert layer[2][[0, -1]] == pytest.approx(weight)
-    assert model.plate_work == 0.0
+    heights, velocities, forces, _ = model.read_layer()
+    weight, height = rig.projectile.mass * rig.gravity, rig.rest_height
+    assert model.state == pytest.approx([0.5, 0.0, height, 0.0, 0.0, -weight, weight])
+    assert model.rest_position == pytest.approx(height, abs=1e-12)
+    assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == model.plate_work == 0.0
     assert model.stored_energy() == pytest.approx(0.0, abs=1e-18)  # of 1e-3 J in a throw
-    assert layer[0, -1] == pytest.approx(model.rest_position)
-    assert layer[1] == pytest.approx(0.0)
-    assert (np.diff(layer[0]) > 0.0).all()
-    assert (layer[2] > 0.0).all()
+    assert heights[-1] == pytest.approx(height)
+    assert velocities == pytest.approx(0.0)
+    assert forces[[0, -1]] == pytest.approx(weight)
+    assert min(np.diff(heights).min(), forces.min()) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -253,54 +235,44 @@ def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
 @steppers
 def test_unknown_plate_is_refused_and_changes_nothing(make):
     model = make(is_measured=True)
-    with pytest.raises(HorizonError, match=r'0\.1'):
-        model.advance_to(0.1)
-    model.append_plate_states([0.0, 0.01], np.zeros((2, 3)))
-    model.advance_to(0.005)
-    with pytest.raises(HorizonError, match=r'0\.5'):
-        model.advance_to(0.5)
-    model.advance_to(0.006)
+    for known in (0.0, 0.01):
+        step = getattr(model, 'step', 0.0)  # cells know it up to a whole step
+        model.append_plate_states([known], np.zeros((1, 3)))
+        assert known - step <= model.horizon <= known
+        model.advance_to(model.horizon)
+        with pytest.raises(HorizonError, match=r'0\.5'):
+            model.advance_to(0.5)
+    model.reset()
+    assert model.horizon <= 0.0
 
 
 @steppers
-@pytest.mark.parametrize(
-    ('times', 'states', 'complaint'),
-    [
-        ([0.02, 0.01], np.zeros((2, 3)), 'increase.*0.01'),
-        ([0.0], [[np.nan, 0.0, 0.0]], 'finite.*nan'),
-        ([-1.0], np.zeros((1, 3)), 'negative.*-1'),
-        ([0.0, 1.0], np.zeros((2, 2)), r'shapes.*\(2, 2\)'),
-        (np.arange(5000.0), np.zeros((5000, 3)), 'ahead.*5000'),
-    ],
-)
-def test_impossible_states_are_refused_as_a_whole(make, times, states, complaint):
+def test_impossible_states_are_refused_as_a_whole(make):
     model = make(is_measured=True)
-    with pytest.raises(ValueError, match=complaint):
-        model.append_plate_states(times, states)
-    assert model.horizon <= 0.0
-    with pytest.raises(ValueError, match='measured'):
-        make().append_plate_states([0.0], np.zeros((1, 3)))
-    with pytest.raises(ValueError, match='measured'):
-        make().fork()
+    for times, states, complaint in (
+        ([0.02, 0.01], np.zeros((2, 3)), r'increase.*0\.01'),
+        ([0.0], [[np.nan, 0.0, 0.0]], 'finite.*nan'),
+        ([-1.0], np.zeros((1, 3)), 'from 0.*-1'),
+        ([0.0, 1.0], np.zeros((2, 2)), 'three'),
+        (np.arange(5000.0), np.zeros((5000, 3)), 'ahead.*5000'),
+    ):
+        with pytest.raises(ValueError, match=complaint):
+            model.append_plate_states(times, states)
+        assert model.horizon <= 0.0
+    for call in (partial(make().append_plate_states, [0.0], np.zeros((1, 3))), make().fork):
+        with pytest.raises(ValueError, match='measured'):
+            call()
 
 
 @all_steppers
-@pytest.mark.parametrize('time', [-1.0, float('nan'), float('inf')])
-def test_impossible_times_are_refused(make, time):
+def test_impossible_times_and_points_are_refused(make):
     model = make()
     model.advance_to(0.001)
-    with pytest.raises(ValueError, match=f'{time}'):
-        model.advance_to(time)
+    for time in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match=f'{time}'):
+            model.advance_to(time)
     model.advance_to(0.002)
-
-
-@steppers
-def test_arrays_of_wrong_shape_are_refused(make):
-    model = make()
-    for bad in (np.zeros((3, 5)), np.zeros((3, 64), np.float32), None):
-        with pytest.raises(ValueError, match='out'):
-            model.read_layer(bad)
-    with pytest.raises(ValueError, match='1'):
+    with pytest.raises(ValueError, match=r'field_points.*1'):
         make(field_points=1)
 
 
@@ -318,19 +290,19 @@ def test_endless_events_raise_an_error(stepper):
 
 @steppers
 def test_advancing_allocates_nothing(make):
-    model, layer = make(), np.empty((3, 64))
+    model = make()
     times = np.linspace(0.0, 0.3, 2000).tolist()
 
     def run():
         for time in times:
             model.advance_to(time)
-            model.read_layer(layer)
+            model.read_layer()
 
     run()  # fills the interpreter's bounded list of freed floats
     model.reset()
     tracemalloc.start()
     try:
-        before = tracemalloc.get_traced_memory()[0]
+        before, _ = tracemalloc.get_traced_memory()
         run()
         after, peak = tracemalloc.get_traced_memory()
     finally:
@@ -383,13 +355,11 @@ def test_whole_range_of_parameters_gives_finite_throws_or_a_remedy(
     except ValueError as refusal:
         assert re.search('the limit is .*; feasible: ', str(refusal))  # noqa: PT017 - may pass
         return
-    layer = np.empty((3, 64))
     try:
         for time in np.linspace(0.0, min(3.0 / engine.frequency, 0.1 / stepper.cost), 20):
             stepper.advance_to(time)
-            stepper.read_layer(layer)
             assert np.isfinite(stepper.state).all()
-            assert np.isfinite(layer).all()
+            assert np.isfinite(stepper.read_layer()).all()
             assert math.isfinite(stepper.stored_energy())
     except EventLimitError:
         assert stepper.event_count > 100

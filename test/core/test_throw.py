@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One throw with all its results, and many at once by every method of computation."""
 
+from concurrent.futures import ThreadPoolExecutor
 import itertools
 import math
 import os
@@ -17,7 +18,6 @@ from soft_throw_ros.core.batch import (
     usable_processors,
 )
 from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
-from soft_throw_ros.core.closed_form import first_releases
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event
@@ -34,6 +34,7 @@ from soft_throw_ros.core.throw import (
 TIMES = np.arange(0.0, 0.05, 2e-4)
 MOTION = SampledMotion.from_positions(TIMES, Underdamped.of(Engine()).position(TIMES))
 SHAKEN = Rig(engine=Engine(motion=MOTION))
+STIFF = Layer(wave_speed=200.0)
 LOSSY = Rig(layer=Layer(loss_tangent=0.1))
 STACK = Layer.of_sheets((Layer(thickness=8e-3, loss_tangent=0.1), Layer(wave_speed=20.0)))
 GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.1)
@@ -53,51 +54,38 @@ methods = pytest.mark.parametrize('method', METHODS)
 
 
 def test_ejections_end_at_the_landing():
-    events = [
-        Event('release', 1.0, 0.01, 1.0),
-        Event('recontact', 1.1, 0.02, 1.0),
-        Event('release', 1.2, 0.03, 2.0),
-        Event('landing', 2.0, 0.01, -2.0),
-        Event('release', 2.1, 0.01, 1.0),
-    ]
+    kinds = 'release', 'recontact', 'release', 'landing', 'release'
+    events = [Event(kind, float(n), 0.0, 1.0) for n, kind in enumerate(kinds)]
     assert ejections(events) == (events[0], events[2])
-    assert ejections([]) == ()
 
 
-def test_projectile_reaches_its_predicted_apex():
+def test_paths_and_fields_of_a_throw_agree_with_its_numbers():
     throw = simulate(Rig())
-    assert throw.events[-1].kind == 'landing'
     path = throw.trajectory(np.linspace(throw.ejection_time, throw.end_time, 2001))
     assert path.projectile_position.max() == pytest.approx(throw.apex_height, rel=1e-5)
     in_flight = path.time < throw.events[-1].time
     assert (path.projectile_position >= path.top_position - 1e-12)[in_flight].all()
-
-
-def test_fields_match_their_axes():
-    throw = simulate(Rig())
     fields = throw.trajectory(np.linspace(0.0, throw.ejection_time, 101), points=65)
-    assert fields.strain.shape == fields.layer_velocity.shape == (101, 65)
+    assert fields.strain.shape == fields.layer_velocity.shape == (101, fields.depth.size)
     assert fields.depth[-1] == throw.rig.layer.thickness
-    stiffness = throw.rig.layer.youngs_modulus * throw.rig.layer.section
-    weight = throw.rig.projectile.mass * throw.rig.gravity
-    assert fields.strain[0] == pytest.approx(-weight / stiffness)
+    assert fields.strain[0] == pytest.approx(-throw.rig.static_sag / throw.rig.layer.thickness)
     assert np.abs(fields.strain).max() == pytest.approx(throw.peak_strain, rel=1e-2)
 
 
 @pytest.mark.parametrize(
     'rig',
     [
-        Rig(gravity=0.0),
+        Rig(gravity=0.0), Rig(engine=Engine(amplitude=0.1, frequency=200.0), layer=STIFF),
         Rig(
             engine=Engine(frequency=106.63, amplitude=3.986e-3, damping_ratio=0.1162),
             layer=Layer(thickness=0.01951, wave_speed=39.276, density=944.4, diameter=0.01237),
             projectile=Projectile(mass=0.006829),
         ),
-        Rig(engine=Engine(amplitude=0.1, frequency=200.0), layer=Layer(wave_speed=200.0)),
     ],
 )
-def test_every_throw_ends(rig):
-    assert simulate(rig).end_time > 0.0
+def test_every_throw_ends_with_a_landing_or_a_projectile_that_rises(rig):
+    throw = simulate(rig)
+    assert throw.events[-1].kind == 'landing' or throw.last_release.velocity > 0.0
 
 
 def test_throw_without_a_release_raises_an_error():
@@ -127,8 +115,7 @@ def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(method):
     rig, changes, count = METHODS[method]
     random = np.random.default_rng(2)
     changes = {
-        **changes,
-        'mass': 1e-3 * np.exp(random.uniform(-1.0, 1.5, count)),
+        **changes, 'mass': 1e-3 * np.exp(random.uniform(-1.0, 1.5, count)),
         'thickness': random.uniform(5e-3, 0.03, count),
         'damping_ratio': random.uniform(0.0, 0.3, count),
     }
@@ -143,7 +130,6 @@ def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(method):
 def test_values_are_broadcast(method):
     rig = METHODS[method][0]
     throws = throw_many(rig, {'thickness': [[0.01], [0.02]], 'mass': [5e-4, 1e-3, 2e-3]})
-    assert all(values.shape == (2, 3) for values in throws)
     single = throw_many(rig, {'thickness': 0.02, 'mass': 1e-3})
     assert throws.ejection_speed[1, 1] == pytest.approx(float(single.ejection_speed), rel=1e-14)
     assert throw_many(rig, {'mass': np.array([])}).ejection_time.shape == (0,)
@@ -217,14 +203,6 @@ def test_bad_changes_are_refused_by_name(rig, name, value):
         throw_many(rig, {name: np.array([value])})
 
 
-def test_ratios_of_the_closed_form_are_broadcast_or_refused():
-    throws = first_releases(mass_ratio=[[0.5], [1.0]], speed_ratio=[5.0, 8.0, 12.0])
-    assert all(values.shape == (2, 3) for values in throws)
-    for name, value in (('mass_ratio', 0.0), ('speed_ratio', np.inf), ('damping_ratio', 1.0)):
-        with pytest.raises(ValueError, match=f'^{name} must be .* got {value!r}$'):
-            first_releases(**{'mass_ratio': 1.0, 'speed_ratio': 5.0, name: value})
-
-
 @pytest.mark.parametrize(
     ('compute', 'loss'), [(throw_many, 1e-3), (simulate, 1e-3), (simulate, 0.0)]
 )
@@ -257,15 +235,12 @@ def three(monkeypatch):
 
 @pytest.mark.usefixtures('three')
 def test_processors_are_left_to_others_in_a_context_of_one_thread():
-    elsewhere = []
     with leave_processors(1):
         assert usable_processors() == 2
-        with leave_processors(5):
+        with leave_processors(5), ThreadPoolExecutor() as pool:
             assert usable_processors() == 1
-        thread = threading.Thread(target=lambda: elsewhere.append(usable_processors()))
-        thread.start()
-        thread.join()
-    assert elsewhere == [3] == [usable_processors()]
+            assert pool.submit(usable_processors).result() == 3
+    assert usable_processors() == 3
 
 
 @pytest.mark.usefixtures('three')

@@ -26,23 +26,20 @@ from soft_throw_ros.identification.fit_description import (
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.rig_fit import fit_rig
 
-RESULTS = ('time', 'speed', 'peak_plate_speed', 'energy_transfer')
-
 
 def truth_of(rig):
     throw = simulate(rig)
-    names = ('ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer')
-    return np.array([getattr(throw, name) for name in names])
+    return [throw.ejection_time, throw.ejection_speed, throw.peak_plate_speed,
+            throw.energy_transfer]
 
 
 def test_first_release_is_right_within_its_errors(fits):
     pulls = []
     for rig, found in fits.values():
         first, others = ejection_of(found)
-        truth = truth_of(rig)
         deviations = [
-            [abs(getattr(item, name).value - value) / getattr(item, name).error
-             for name, value in zip(RESULTS, truth, strict=True)]
+            [abs(estimate.value - truth) / estimate.error
+             for estimate, truth in zip(item[:4], truth_of(rig), strict=True)]
             for item in (first, *others)
         ]
         pulls += min(deviations, key=max)
@@ -56,12 +53,10 @@ def fitted(make_throw):
 
     def fit(rig, *, error):
         found = fit_rig([make_throw(Rig(), rate=1000.0)], rig, FitDescription(IDEAL_BENCH))
-        values = found.fit.values.copy()
-        values[:4] = list(values_of(rig, DEFAULT_FREE).values())
-        covariance = np.diag(np.full(values.size, 1e-20))
-        covariance[3, 3] = error**2
-        changed = replace(found.fit, values=values, covariance=covariance)
-        return replace(found, fit=changed)
+        own = found.fit.values[4:]
+        values = np.array([*values_of(rig, DEFAULT_FREE).values(), *own])
+        covariance = np.diag([1e-20, 1e-20, 1e-20, error**2, *np.full(own.size, 1e-20)])
+        return replace(found, fit=replace(found.fit, values=values, covariance=covariance))
 
     return fit
 
@@ -80,10 +75,9 @@ def test_ejection_that_jumps_within_the_errors_is_reported(fitted):
     (other,) = near.alternatives
     assert other.probability == pytest.approx(0.5, abs=0.1)
     early, late = sorted([near.first.time, other.time])
-    assert abs(other.echoes) == 1
-    assert (other.echoes > 0) == (other.time == late)
+    assert other.echoes == (1 if other.time == late else -1)
     for found, step in ((early, -1e-3), (late, 1e-3)):
-        truth = truth_of(Rig(layer=Layer(wave_speed=jump + step)))[0]
+        truth, *_ = truth_of(Rig(layer=Layer(wave_speed=jump + step)))
         assert found.value == pytest.approx(truth, rel=0.02)
 
 

@@ -35,35 +35,22 @@ def test_parameter_is_free_or_fixed_or_known_with_an_error(treatment, known, val
     description = FitDescription({'layer.thickness': treatment})
     assert description.known('layer.thickness', RIG) == known
     assert description.prepare(RIG).layer.thickness == value
-    assert description.is_free('layer.thickness') is (treatment == FREE)
+    assert description.treatment('layer.thickness').is_free is (treatment == FREE)
     assert all(description.treatment(name).is_varied for name in DEFAULT_FREE)
 
 
-def test_measured_quantities_have_the_errors_of_the_paper():
-    description = FitDescription()
-    assert description.known('layer.thickness', RIG) == Estimate(0.02, 1e-4)
-    assert description.known('projectile.mass', RIG) == Estimate(1e-3, pytest.approx(1e-5))
-
-
-@pytest.mark.parametrize(
-    ('treatment', 'stated', 'is_assumed'),
-    [
-        (None, (), True),
-        (FIXED, (), True),
-        (Treatment(True, error=1e-5), (), True),
-        (FREE, (), False),
-        (Treatment(True, 0.002, 2e-5), (), False),
-        (None, ('projectile.mass',), False),
-    ],
-)
-def test_value_that_nobody_stated_is_assumed_and_held(treatment, stated, is_assumed):
+@pytest.mark.parametrize('treatment', [None, FIXED, Treatment(True, error=1e-5)])
+def test_value_that_nobody_stated_is_assumed_and_held(treatment):
     description = FitDescription({'projectile.mass': treatment} if treatment else {})
-    result = description.assume(stated)
-    assert ('projectile.mass' in result.assumed) is is_assumed
-    assert 'layer.loss_tangent' not in result.assumed
-    assert 'layer.wave_speed' not in result.assumed
-    if is_assumed:
-        assert result.treatment('projectile.mass') == FIXED
+    result = description.assume(())
+    assert result.treatment('projectile.mass') == FIXED
+    assert set(result.assumed) == {
+        'projectile.mass', 'layer.thickness', 'layer.density', 'layer.diameter'
+    }
+    assert 'projectile.mass' not in description.assume(['projectile.mass']).assumed
+    for stated in (FREE, Treatment(True, 0.002, 2e-5)):
+        stated_there = description.change({'projectile.mass': stated})
+        assert 'projectile.mass' not in stated_there.assume(()).assumed
 
 
 def test_file_agrees_with_the_python_description(write):

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import FitDescription, FREE, IDEAL_BENCH
-from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.layer_search import (
     find_best_minimum,
     find_layers,
     MAX_EXCESS,
 )
-from soft_throw_ros.identification.least_squares import Fit
+from soft_throw_ros.identification.least_squares import Fit, fit_warnings
 
 IDEAL = FitDescription(IDEAL_BENCH)
 WITH_THICKNESS = {**IDEAL_BENCH, 'layer.thickness': FREE}
@@ -47,31 +46,36 @@ def test_first_candidate_on_exact_tracks_is_the_truth(make_model, make_throw, ri
     assert found['layer.wave_speed'].value == pytest.approx(rig.layer.wave_speed, rel=2e-3)
 
 
-def test_candidates_contain_the_thickness_for_a_guess_that_is_a_third_off(
-    make_model, make_throw
+@pytest.mark.parametrize(
+    ('rig', 'thickness', 'guess', 'tolerance'),
+    [
+        (Rig(), 0.03, 0.04, 0.02),
+        (with_layer(Rig(), wave_speed=15.0), 5.6e-3, 8.4e-3, 0.05),
+        (with_layer(LIGHT, wave_speed=6.0), 0.02, 0.013, 0.05),
+    ],
+    ids=['soft', 'thin', 'light'],
+)
+def test_first_candidate_has_the_thickness_for_a_guess_that_is_a_third_off(
+    make_model, make_throw, rig, thickness, guess, tolerance
 ):
-    rig = with_layer(Rig(), thickness=0.03)
+    rig = with_layer(rig, thickness=thickness)
     throw = throw_of(make_throw, rig, noise=1e-6)
-    known = with_layer(rig, wave_speed=50.0, thickness=0.04)
-    found = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))
-    assert found[0]['layer.thickness'].value == pytest.approx(0.03, rel=0.02)
-    assert found[0]['layer.wave_speed'].value == pytest.approx(rig.layer.wave_speed, rel=0.02)
+    known = with_layer(rig, wave_speed=50.0, thickness=guess)
+    found = find_layers(make_model(known, [throw], FitDescription(WITH_THICKNESS)))[0]
+    for name in ('thickness', 'wave_speed'):
+        truth = getattr(rig.layer, name)
+        assert found[f'layer.{name}'].value == pytest.approx(truth, rel=tolerance)
 
 
-def candidates_at(*speeds):
-    return [
-        Fit(
-            names=('layer.wave_speed',), values=np.array([speed]), covariance=np.eye(1), chi2=1.0,
-            dof=1, residuals=(),
-        )
-        for speed in speeds
-    ]
+def candidate(speed):
+    return Fit(
+        names=('layer.wave_speed',), values=np.array([speed]), covariance=np.eye(1), chi2=1.0,
+        dof=1, residuals=(),
+    )
 
 
 def fit_near(model, wave_speed):
-    start = model.start()
-    start[model.indices_of('layer.wave_speed')] = wave_speed
-    return model.fit(start)
+    return model.fit(model.start({'layer.wave_speed': wave_speed}))
 
 
 def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
@@ -79,17 +83,17 @@ def test_best_minimum_is_found_from_a_wrong_echo(make_model, make_throw):
     right, wrong = fit_near(model, 40.0), fit_near(model, 22.4)
     assert wrong.chi2 > right.chi2 + MAX_EXCESS
     assert wrong['layer.wave_speed'].value < 25.0
-    others = candidates_at(22.0, 41.0)
+    others = [candidate(22.0), candidate(41.0)]
     found = find_best_minimum(model, wrong, others)
     assert found.values == pytest.approx(right.values, rel=1e-4, abs=1e-7)
     assert found.alternatives == ()
-    assert find_best_minimum(model, right, others[:1]*2).chi2 == right.chi2
+    assert find_best_minimum(model, right, others[:1] * 2).chi2 == right.chi2
 
 
 def test_minima_that_are_hardly_worse_increase_the_error(make_model, make_throw):
     model = make_model(CHATTERING, [throw_of(make_throw, CHATTERING, noise=2e-4)], IDEAL)
     fit = fit_near(model, 37.8)
-    found = find_best_minimum(model, fit, candidates_at(37.8, 22.4, 57.5))
+    found = find_best_minimum(model, fit, [candidate(speed) for speed in (37.8, 22.4, 57.5)])
     speed, index = found['layer.wave_speed'], model.indices['layer.wave_speed'][0]
     far = [item.values[index] - speed.value for item in found.alternatives]
     assert len(far) == 2

@@ -8,17 +8,17 @@ import re
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from soft_throw_ros.identification.fit_warnings import fit_warnings
 from soft_throw_ros.identification.least_squares import (
     Estimate,
     fit_tracks,
+    fit_warnings,
     FitError,
     FitModel,
 )
 from soft_throw_ros.identification.tracks import Track
 
 TIME = np.linspace(0.0, 2.0, 200)
-TRUTH = np.array([1.5, 0.8])
+TRUTH, GUESS = np.array([1.5, 0.8]), np.array([1.0, 1.0])
 
 
 def decay(time, size, rate):
@@ -37,23 +37,18 @@ MODEL = model_of(decay, 'size', 'rate')
 
 
 def track(seed=0, *, noise=0.01, known=None, extra=0.0):
-    rng = np.random.default_rng(seed)
-    scatter = rng.normal(size=TIME.size)
+    scatter = noise * np.random.default_rng(seed).normal(size=TIME.size)
     heights = decay(TIME, *TRUTH) + extra * np.sin(9.0 * TIME)
-    return Track(time=TIME, position=heights + noise * scatter, known_noise=known)
+    return Track(time=TIME, position=heights + scatter, known_noise=known)
 
 
 @pytest.mark.parametrize('known', [None, 0.005, 0.01, 0.02])
 def test_fit_agrees_with_curve_fit(known):
     data = track(known=known)
-    fit = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', data)])
+    fit = fit_tracks(MODEL, GUESS, [('decay', data)])
+    noise = np.full(TIME.size, data.noise)
     values, covariance = curve_fit(
-        decay,
-        TIME,
-        data.position,
-        p0=[1.0, 1.0],
-        sigma=np.full(TIME.size, data.noise),
-        absolute_sigma=True,
+        decay, TIME, data.position, p0=GUESS, sigma=noise, absolute_sigma=True
     )
     covariance *= max(1.0, fit.reduced_chi2)
     assert fit.values == pytest.approx(values, rel=1e-6)
@@ -72,11 +67,8 @@ def test_a_slow_misfit_within_the_noise_enlarges_the_errors():
 
 
 def test_fit_of_noise_alone_seldom_warns():
-    warned = [
-        bool(fit_warnings(fit_tracks(MODEL, TRUTH, [('decay', track(seed))])))
-        for seed in range(300)
-    ]
-    assert sum(warned) <= 1
+    fits = [fit_tracks(MODEL, TRUTH, [('decay', track(seed))]) for seed in range(300)]
+    assert sum(bool(fit_warnings(fit)) for fit in fits) <= 1
 
 
 @pytest.mark.parametrize('data', [track(extra=0.02), track(noise=0.02, known=0.01)])
@@ -110,13 +102,13 @@ def test_parameter_without_effect_has_infinite_error():
 
 @pytest.mark.parametrize('indices', [[0], [1], [57, 58, 120], [199]])
 def test_outliers_are_listed_and_hardly_matter(indices):
-    clean = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', track())])
+    clean = fit_tracks(MODEL, GUESS, [('decay', track())])
     position = track().position.copy()
     position[indices] += 0.5
-    fit = fit_tracks(MODEL, np.array([1.0, 1.0]), [('decay', Track(time=TIME, position=position))])
-    outliers = fit.residuals[0].outliers
-    assert [item.time for item in outliers] == TIME[indices].tolist()
-    assert [item.deviation for item in outliers] == pytest.approx([0.5] * len(indices), abs=0.05)
+    fit = fit_tracks(MODEL, GUESS, [('decay', Track(time=TIME, position=position))])
+    times, deviations = zip(*fit.residuals[0].outliers, strict=True)
+    assert list(times) == TIME[indices].tolist()
+    assert deviations == pytest.approx(np.full(len(indices), 0.5), abs=0.05)
     assert np.abs((fit.values - clean.values) / clean.errors).max() < 1.5
     assert fit_warnings(fit) == []
 
@@ -137,9 +129,8 @@ def test_prior_counts_as_a_sample_and_its_contradiction_is_reported():
 
 
 def test_solver_that_stops_at_its_limit_is_reported():
-    data = [('decay', track())]
     for limit in (1, 100):
-        fit = fit_tracks(MODEL, np.array([1.0, 1.0]), data, max_evaluations=limit)
+        fit = fit_tracks(MODEL, GUESS, [('decay', track())], max_evaluations=limit)
         assert fit.is_converged is (limit > 1)
         assert any('limit' in text for text in fit_warnings(fit)) is (limit == 1)
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.identification.fit_warnings import fit_warnings
-from soft_throw_ros.identification.least_squares import FitError
+from soft_throw_ros.identification.least_squares import fit_warnings, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 
@@ -44,13 +43,11 @@ def test_plate_fit_gives_the_reference_values(reference_throw):
 
 @pytest.mark.slow
 def test_plate_fit_is_unbiased_and_its_errors_are_correct():
-    time = np.arange(0.0, 0.1, 1.0 / 1500.0)
-    motion = Underdamped(**TRUTH)
-    truth = [63.2, 0.064, 2e-3, START, 0.0]
+    time, motion = np.arange(0.0, 0.1, 1.0 / 1500.0), Underdamped(**TRUTH)
     pulls = []
     for seed in range(100):
         fit = fit_plate(track_of(motion, time, START, noise=2e-5, seed=seed))
-        pulls.append((fit.values - truth) / fit.errors)
+        pulls.append((fit.values - [63.2, 0.064, 2e-3, START, 0.0]) / fit.errors)
     assert np.abs(np.mean(pulls, axis=0)).max() < 0.3
     assert np.std(pulls, axis=0) == pytest.approx(np.ones(5), abs=0.25)
 

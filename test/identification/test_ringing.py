@@ -22,10 +22,8 @@ def squeezed(thickness, wave_speed, loss_time, time, *, squeeze=1e-3, modes=40):
         growth = np.roots([1.0, loss_time * omega**2, omega**2]).astype(complex)
         growth[0] += 1e-6j * omega * (growth[0] == growth[1])
         first, second = growth
-        shape = (second * np.exp(first * after) - first * np.exp(second * after)) / (
-            second - first
-        )
-        length = length - squeeze * 8.0 / (np.pi * n) ** 2 * shape.real
+        shape = second * np.exp(first * after) - first * np.exp(second * after)
+        length = length - squeeze * 8.0 / (np.pi * n) ** 2 * (shape / (second - first)).real
     return length
 
 
@@ -33,14 +31,10 @@ def ends_of(thickness, *, rate=10000.0, wave_speed=7.8, loss_time=1e-5, noise=5e
     """Return tracks of both ends of a layer that is let go at time 0 on a moving plate."""
     period = 2.0 * thickness / wave_speed
     time = np.arange(-2.0 * period, 12.0 * period, 1.0 / rate)
-    rng = np.random.default_rng(seed)
     bottom = 1e-3 * np.sin(200.0 * time)
     top = bottom + squeezed(thickness, wave_speed, loss_time, time)
-    scatter = noise / np.sqrt(2.0) * rng.normal(size=(2, time.size))
-    return [
-        Track(time=time, position=position)
-        for position in (bottom + scatter[0], top + scatter[1])
-    ]
+    scatter = noise / np.sqrt(2.0) * np.random.default_rng(seed).normal(size=(2, time.size))
+    return [Track(time=time, position=end) for end in (bottom + scatter[0], top + scatter[1])]
 
 
 @pytest.mark.parametrize('thickness', [5.6e-3, 9.5e-3, 29.1e-3])

@@ -33,7 +33,7 @@ def video(count=60, seed=0, **options):
 def errors_of(spots, truth=centres_of):
     """Return the errors of all spots: rows and columns [px]."""
     return [
-        np.array(spot.centre) - np.array([truth(number)[index] for number in spot.picture])
+        np.array(spot.centre) - [truth(number)[index] for number in spot.picture]
         for index, spot in enumerate(spots)
     ]
 
@@ -59,8 +59,7 @@ def test_spots_are_followed_within_a_tenth_of_a_pixel_until_they_leave(options):
 
 
 def test_light_and_motion_blurred_spots_are_followed():
-    rng = np.random.default_rng(0)
-    rows = 110.0 - 2.5 * np.arange(20)
+    rng, rows = np.random.default_rng(0), 110.0 - 2.5 * np.arange(20)
     during = np.linspace(-1.25, 1.25, 6)
     pictures = [
         exposed(40.0 + CONTRAST * sum(disc(SHAPE, row + each, 25.0) for each in during) / 6.0, rng)

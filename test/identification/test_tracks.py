@@ -28,26 +28,20 @@ BODIES = ('plate', 'projectile')
 ROWS = [f'{t:.4f},{t**2:.6f},{t + 0.01:.6f}' for t in np.arange(20) * 2e-4]
 
 
-def with_line(number, text):
-    lines = ['t,plate,projectile', *ROWS]
-    lines[number - 1] = text
-    return lines
-
-
 @pytest.mark.parametrize(
-    ('lines', 'value'),
+    ('head', 'count', 'value'),
     [
-        (with_line(5, '0.0006,1e9,0'), "file:5: plate must be within +- 1e+06, got '1e9'"),
-        (with_line(1, 't,piston,ball'), 'no column is named plate or z_plate or zp or z_p, got'),
-        (with_line(1, 'frame,plate,projectile'), 'file:1: no column is named t or time, got'),
-        (with_line(1, 't,plate [inch],projectile'), "got 'plate [inch]'"),
-        (with_line(1, 't [h],plate,projectile'), 'file:1: time must be in s or ms or us, got'),
-        (ROWS[:5], f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
+        ('0,1e9,0', 0, "file:1: plate must be within +- 1e+06, got '1e9'"),
+        ('t,piston,ball', 20, 'no column is named plate or z_plate or zp or z_p, got'),
+        ('frame,plate,projectile', 20, 'file:1: no column is named t or time, got'),
+        ('t,plate [inch],projectile', 20, "got 'plate [inch]'"),
+        ('t [h],plate,projectile', 20, 'file:1: time must be in s or ms or us, got'),
+        ('', 5, f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
     ],
 )
-def test_bad_csv_is_refused_with_its_line(lines, value):
+def test_bad_csv_is_refused_with_its_line(head, count, value):
     with pytest.raises(TrackError, match=re.escape(value)):
-        read_csv(lines, 'file', BODIES)
+        read_csv([head, *ROWS[:count]], 'file', BODIES)
 
 
 LINES = (Path(__file__).parents[1] / 'data/reference_tracks.csv').read_text().splitlines(True)[:16]
@@ -85,9 +79,9 @@ def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
     time = np.arange(0.0, 0.1, 2e-4)
     noises = []
     for seed in range(8):
-        position = PLATE.position(time - 0.03)
-        noisy = position + noise * np.random.default_rng(seed).normal(size=time.size)
-        noises.append(noise_of(time, 2e-5 * np.round(noisy / 2e-5)))
+        scatter = noise * np.random.default_rng(seed).normal(size=time.size)
+        heights = 2e-5 * np.round((PLATE.position(time - 0.03) + scatter) / 2e-5)
+        noises.append(noise_of(time, heights))
     rounding = 2e-5 / np.sqrt(12.0)
     assert noise_of(time, np.zeros(time.size)) > 0.0
     assert 0.99 * rounding < np.mean(noises) < 1.1 * np.hypot(noise, rounding)
@@ -97,8 +91,8 @@ def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
 @pytest.mark.parametrize(('first', 'count', 'height'), [(250, 3, 0.0), (300, 200, None)])
 def test_heights_that_stand_still_in_motion_are_stuck(step, first, count, height):
     time = np.arange(0.0, 0.1, 2e-4)
-    rng = np.random.default_rng(4)
-    position = 0.01 + PLATE.position(time - 0.03) + 5e-6 * rng.normal(size=time.size)
+    scatter = 5e-6 * np.random.default_rng(4).normal(size=time.size)
+    position = 0.01 + PLATE.position(time - 0.03) + scatter
     position = step * np.rint(position / step) if step else position
     assert not Track(time=time, position=position).is_stuck.any()
     stuck = slice(first, first + count)
@@ -125,12 +119,11 @@ def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
     """Make a plate that jumps at each start, and is put back some time later."""
     time = np.arange(begin, max(starts) + period, 1.0 / rate)
     plate = Underdamped(frequency=40.0, amplitude=2e-3, damping_ratio=0.064)
-    position = np.zeros_like(time)
+    position = noise * np.random.default_rng(3).normal(size=time.size) - 0.3
     for start in starts:
         part = np.clip((time - start - back) / 0.1, 0.0, 1.0)
         until = time < start + period if start < max(starts) else True
         position += until * plate.position(time - start) * (1.0 - part**2 * (3.0 - 2.0 * part))
-    position += noise * np.random.default_rng(3).normal(size=time.size) - 0.3
     track = Track(time=time, position=position)
     return ThrowTracks(name='bag', plate=track, projectile=track)
 
@@ -150,6 +143,13 @@ def test_record_is_cut_into_its_throws(noise):
         assert throw.projectile.time == pytest.approx(throw.plate.time)
 
 
+def test_throws_in_quick_succession_do_not_overlap():
+    starts = [0.2, 0.345, 0.49]  # less than six periods apart
+    first, second, last = split_into_throws(record(starts=starts, period=0.145, back=0.02))
+    assert first.plate.time[-1] < second.plate.time[0] < starts[1]
+    assert second.plate.time[-1] < last.plate.time[0] < starts[2]
+
+
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
 def test_throw_cut_off_by_the_end_of_the_record_is_ignored(seen, count):
     whole = record(starts=[0.2, 0.7, 1.3])
@@ -157,8 +157,7 @@ def test_throw_cut_off_by_the_end_of_the_record_is_ignored(seen, count):
 
 
 def test_long_record_is_cut():
-    # Far more samples than swings: at 400 Hz the plate has ten in a period
-    starts = [5.0, 300.0, 590.0]
+    starts = [5.0, 300.0, 590.0]  # ten samples in a period
     throws = split_into_throws(record(starts=starts, rate=400.0))
     assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
 
@@ -177,13 +176,11 @@ def test_record_is_cut_at_long_gaps():
     assert split_at_breaks(first) == [first]
 
 
-@pytest.mark.parametrize(
-    'whole',
-    [
-        record(starts=[0.2], period=0.25),  # ends before it is put back
-        record(starts=[0.2], period=0.25, begin=0.21),  # never at rest
-        record(starts=[0.2], period=0.05, rate=200.0),  # few samples
-    ],
-)
-def test_record_of_one_settling_throw_is_not_cut(whole):
+@pytest.mark.parametrize('options', [
+    {'period': 0.25},  # ends before it is put back
+    {'period': 0.25, 'begin': 0.21},  # never at rest
+    {'period': 0.05, 'rate': 200.0},  # few samples
+])
+def test_record_of_one_settling_throw_is_not_cut(options):
+    whole = record(starts=[0.2], **options)
     assert split_into_throws(whole) == [whole]

@@ -21,7 +21,7 @@ from soft_throw_ros.nodes.conversions import (
     throw_result_to_msg,
 )
 from soft_throw_ros.nodes.topics import qos_profile
-from soft_throw_ros.storage.bag_metadata import dump_yaml
+from soft_throw_ros.storage.bag_folder import dump_yaml
 from soft_throw_ros.twin.results import ThrowResult
 from twin_runs import Run
 

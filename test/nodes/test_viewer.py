@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from rclpy.duration import Duration
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_TOPICS
+from soft_throw_ros.configuration.interface import TWIN_TOPICS, VIEWER_DIAGNOSTICS
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.viewer import Viewer
 from soft_throw_ros.recording.rerun_viewer import free_port, url_of
@@ -77,12 +77,12 @@ def entities(viewer: Any) -> set[str]:
 def reports_of_viewer(ros: Any) -> Any:
     """Return a function that waits for two reports, between which all messages arrive."""
     listener = ros.listen_to('/viewer')
-    listener.listen(VIEWER_TOPICS.diagnostics)
+    listener.listen(VIEWER_DIAGNOSTICS)
 
     def report() -> Any:
         listener.heard['/diagnostics'].clear()
-        listener.hear(VIEWER_TOPICS.diagnostics, 2)
-        return msg_to_values(listener.status(VIEWER_TOPICS.diagnostics, 'display'))
+        listener.hear(VIEWER_DIAGNOSTICS, 2)
+        return msg_to_values(listener.status(VIEWER_DIAGNOSTICS, 'display'))
 
     return report
 

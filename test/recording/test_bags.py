@@ -42,7 +42,7 @@ from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
 from soft_throw_ros.storage import bag_reader
-from soft_throw_ros.storage.bag_lock import is_being_written
+from soft_throw_ros.storage.bag_folder import is_being_written
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 import yaml
@@ -158,15 +158,11 @@ def test_bag_has_the_metadata_of_rosbag2(tmp_path):
 
 
 def test_equal_channels_are_merged_when_read(tmp_path):
-    def make(**qos):
-        return Channel(topic='/a', type='t/msg/T', schema='IDL: ä', schema_encoding='ros2idl',
-                       qos=profiles(qos))
-
+    one = {'topic': '/a', 'type': 't/msg/T', 'schema': 'IDL: ä', 'schema_encoding': 'ros2idl'}
     # Publishers that restart, the last with another quality of service
-    messages = [Message(item, b'', 1, 1) for item in (make(), make(), make(depth=1))]
-    with BagReader(write(tmp_path / 'bag', messages)) as bag:
-        assert [item.qos for item in bag.channels] == [profiles({}), profiles({'depth': 1})]
-        assert {item.schema_encoding for item in bag.channels} == {'ros2idl'}
+    channels = [Channel(**one), Channel(**one), Channel(**one, qos=profiles({'depth': 1}))]
+    with BagReader(write(tmp_path / 'bag', [Message(c, b'', 1, 1) for c in channels])) as bag:
+        assert [vars(item) for item in bag.channels] == [vars(item) for item in channels[1:]]
         assert len(list(bag.messages())) == 3
 
 
@@ -247,40 +243,26 @@ def test_whole_chunk_counts_as_saved_if_the_disk_is_full_before_its_index(tmp_pa
 
 
 KILLED = """
-import mmap, os, random, signal, sys, time
-from pathlib import Path
+import os, random, signal, sys, time
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import Channel, Message
 
 texts = Channel(topic='/text', type='std_msgs/msg/String', schema='string data')
 text = b'\\0\\1\\0\\0' + (1000).to_bytes(4, 'little') + b'x' * 999 + b'\\0'
-flushed = mmap.mmap(-1, 8)  # shared with the process that is killed
-
-
-def write_for_ever(path, compression):
-    with BagWriter(path, distribution='jazzy', compression=compression, max_size=10**6) as writer:
-        for step in range(10**9):
-            writer.write(Message(texts, text, step, step, step))
-            if step % 97 == 96:
-                writer.flush()
-                flushed[:] = (step + 1).to_bytes(8, 'little')
-
-
 random.seed(7)
 for number in range(15):
-    flushed[:] = bytes(8)
     child = os.fork()
     if not child:
-        try:
-            write_for_ever(Path(sys.argv[1]) / f'bag{number}', ('none', 'lz4', 'zstd')[number % 3])
-        finally:
-            os._exit(1)
-    while not any(flushed[:]):
-        time.sleep(0.001)
-    time.sleep(random.uniform(0.0, 0.06))
+        path, compression = f'{sys.argv[1]}/bag{number}', ('none', 'lz4', 'zstd')[number % 3]
+        bag = BagWriter(path, distribution='jazzy', compression=compression, max_size=10**6)
+        for step in range(10**9):
+            bag.write(Message(texts, text, step, step, step))
+            if step % 97 == 96:
+                bag.flush()
+                os.write(1, f'{number} {step + 1}\\n'.encode())
+    time.sleep(random.uniform(0.05, 0.15))
     os.kill(child, signal.SIGKILL)
     assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
-    print(int.from_bytes(flushed[:], 'little'))
 """
 
 
@@ -289,7 +271,9 @@ def test_killed_process_loses_only_messages_after_its_last_flush(tmp_path):
         [sys.executable, '-c', KILLED, str(tmp_path)], stdout=subprocess.PIPE, check=True,
         cwd=ROOT, timeout=100,
     )
-    for number, count in enumerate(map(int, killed.stdout.split())):
+    flushed = dict(map(int, line.split()) for line in killed.stdout.splitlines())
+    assert len(flushed) > 9  # a busy machine may not come to the first one
+    for number, count in flushed.items():
         bag, target = tmp_path / f'bag{number}', tmp_path / f'whole{number}'
         assert (bag / 'metadata.yaml').exists()
         recovered = recover(bag, target)
@@ -301,18 +285,18 @@ def test_killed_process_loses_only_messages_after_its_last_flush(tmp_path):
 # Bags of others
 
 
-@pytest.mark.parametrize('options', [
-    {'version': 8}, {'version': 9}, {'mode': CompressionMode.STORAGE},
-    {'mode': CompressionMode.FILE}, {'mode': CompressionMode.MESSAGE},
-    {'storage_plugin': StoragePlugin.SQLITE3},
+@pytest.mark.parametrize(('version', 'plugin', 'mode', 'is_refused'), [
+    (8, StoragePlugin.MCAP, None, False), (9, StoragePlugin.MCAP, None, False),
+    (9, StoragePlugin.MCAP, CompressionMode.STORAGE, False),
+    (9, StoragePlugin.MCAP, CompressionMode.FILE, True),
+    (9, StoragePlugin.MCAP, CompressionMode.MESSAGE, True),
+    (9, StoragePlugin.SQLITE3, None, True),
 ])
-def test_bag_of_rosbags_is_read_or_refused_with_its_converter(tmp_path, options):
-    options = {'version': 9, 'storage_plugin': StoragePlugin.MCAP, **options}
-    mode = options.pop('mode', None)
-    is_refused = mode in (CompressionMode.FILE, CompressionMode.MESSAGE)
-    is_refused |= options['storage_plugin'] is StoragePlugin.SQLITE3
+def test_bag_of_rosbags_is_read_or_refused_with_its_converter(
+    tmp_path, version, plugin, mode, is_refused
+):
     offered = parse_qos(profiles({'depth': 7, 'reliability': 'best_effort'}))
-    bag = RosbagsWriter(tmp_path / 'theirs', **options)
+    bag = RosbagsWriter(tmp_path / 'theirs', version=version, storage_plugin=plugin)
     if mode is not None:
         bag.set_compression(mode, CompressionFormat.ZSTD)
     with bag:

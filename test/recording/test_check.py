@@ -49,43 +49,24 @@ class Twin(TwinMessages):
         assert self.schedule.skip(step=self.session.step, now=now, max_catch_up=0) == ticks
         self.session.set_tick_schedule(self.schedule)
 
-    def throw(self, seed: int, **kwargs: Any) -> None:
-        """Measure a throw and the time after the throw."""
-        samples = measured_throw(
-            Rig(), begin_ns=self.schedule.deadline(self.session.step), noise=5e-6, jitter=0.4,
-            seed=seed, **kwargs,
-        )
-        delays = np.random.default_rng(seed).integers(0, 900_000, len(samples)).tolist()
-        self.send(samples, delays)
-        self.receive()
-
     def of(self, name: str) -> list[Message]:
         return [message for message in self.messages if message.channel is self.channels[name]]
 
-    def entries(self) -> list[dict[str, Any]]:
-        return [entry_of(message) for message in self.of('journal')]
-
     def edited(self, edit: Callable[[dict[str, Any]], dict[str, Any] | None]) -> list[Message]:
         """Return the messages with every line of the journal changed, or left out for None."""
-        messages = []
-        for message in self.messages:
-            if message.channel is not self.channels['journal']:
-                messages.append(message)
-            elif (entry := edit(entry_of(message))) is not None:
-                messages.append(message._replace(data=text(json.dumps(entry))))
-        return messages
+        entries = map(edit, map(json.loads, self.journal))
+        messages = [
+            message._replace(data=text(json.dumps(next(entries))))
+            if message.channel is self.channels['journal'] else message
+            for message in self.messages
+        ]
+        return [message for message in messages if message.data != text('null')]
 
     def damaged(self, message: Message, data: bytes) -> list[Message]:
-        return [
-            other._replace(data=data) if other is message else other for other in self.messages
-        ]
+        return [item._replace(data=data) if item is message else item for item in self.messages]
 
-
-def entry_of(message: Message) -> dict[str, Any]:
-    length = int.from_bytes(message.data[4:8], 'little')
-    entry = json.loads(message.data[8:7 + length])
-    assert isinstance(entry, dict)
-    return entry
+    def count(self, *kinds: str) -> int:
+        return sum(len(self.entries(kind)) for kind in kinds)
 
 
 @pytest.fixture
@@ -152,14 +133,18 @@ def measured() -> Twin:
     """Return a twin of three measured throws with changes and a stall in between."""
     twin = Twin(engine__motion='measured', measured__latency=2e-4)
     twin.go(20)
-    twin.throw(1, duration=0.2)
-    twin.stall(13)
-    twin.session.reset()
-    twin.session.change({'layer.wave_speed': 8.1, 'measured.smoothing_window': 1.6e-3})
-    twin.throw(2)
-    twin.session.reset()
-    twin.set_clock(twin.now + SECOND // 2)
-    twin.throw(3, duration=0.3)
+    for seed, duration in enumerate((0.2, 0.25, 0.3)):
+        samples = measured_throw(
+            Rig(), begin_ns=twin.schedule.deadline(twin.session.step), noise=5e-6, jitter=0.4,
+            seed=seed, duration=duration,
+        )
+        delays = np.random.default_rng(seed).integers(0, 900_000, len(samples)).tolist()
+        twin.send(samples, delays)
+        twin.receive()
+        twin.stall(13)
+        twin.session.reset()
+        twin.session.change({'layer.wave_speed': 8.1, 'measured.smoothing_window': 1.6e-3})
+        twin.set_clock(twin.now + SECOND // 2)
     twin.session.close()
     return twin
 
@@ -173,9 +158,8 @@ def test_bag_agrees_with_its_journal(request, check, name) -> None:
     result = check(twin.messages)
     assert (result.twin, result.differences) == ('/twin', [])
     assert result.exit_code == 0
-    kinds = [entry['kind'] for entry in twin.entries()]
-    assert kinds.count('result') >= 3
-    assert result.results == Count(same=kinds.count('checksum') + kinds.count('result'))
+    assert twin.count('result') >= 3
+    assert result.results == Count(same=twin.count('checksum', 'result'))
     assert result.states == Count(same=len(twin.of('joint_states')))
     assert 'to the last bit' in result.describe()
 
@@ -252,9 +236,8 @@ def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, check) ->
     since = BEGIN + 450_000_000
     result = check([message for message in plain.messages if message.log_time >= since])
     assert result.exit_code == 0
-    begins = [entry['step'] for entry in plain.entries() if entry['kind'] == 'throw']
-    assert result.states == Count(same=2200 - begins[1])
-    assert result.results.missing == sum(entry['step'] < 450 for entry in plain.entries())
+    assert result.states == Count(same=2200 - plain.starts()[1])
+    assert result.results.missing == sum(json.loads(e)['step'] < 450 for e in plain.journal)
 
 
 @pytest.mark.parametrize(('name', 'kind'), [('plain', 'throw'), ('measured', 'samples')])
@@ -262,11 +245,10 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(
     request, check, name, kind
 ) -> None:
     twin = request.getfixturevalue(name)
-    line = [entry['line'] for entry in twin.entries() if entry['kind'] == kind][1]
+    line = twin.entries(kind)[1]['line']
     result = check(twin.edited(lambda entry: None if entry['line'] == line else entry))
     assert (result.exit_code, result.results.missing) == (0, 1)
-    compared = [entry for entry in twin.entries() if entry['kind'] in ('result', 'checksum')]
-    assert 0 < result.results.same < len(compared)
+    assert 0 < result.results.same < twin.count('result', 'checksum')
 
 
 @pytest.mark.parametrize('values', [

@@ -7,6 +7,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any
 
+from bags import plain
 from hypothesis import given
 from hypothesis import strategies as st
 from soft_throw_ros.recording.playback import MAX_CATCH_UP, PlaybackSchedule, SHORTEST_LOOP
@@ -18,29 +19,31 @@ START = 17 * SECOND
 TIMES = st.lists(st.integers(0, 10_000), max_size=30).map(sorted)
 
 
-def scheduled(*times: int, **kwargs: Any) -> PlaybackSchedule[int]:
-    """Schedule items that are their own times, of a recording that begins with the first."""
+def scheduled(*times: int, **kwargs: Any) -> PlaybackSchedule:
+    """Schedule messages of a recording that begins with the first."""
     first, last = min(times, default=0), max(times, default=0)
-    schedule = PlaybackSchedule(lambda: times, int, begin_ns=first, end_ns=last, **kwargs)
+    schedule = PlaybackSchedule(
+        lambda: map(plain, times), begin_ns=first, end_ns=last, **kwargs
+    )
     schedule.resume(START)
     return schedule
 
 
 def play(
-    schedule: PlaybackSchedule[int], *, late: int = 0, limit: int = 1000
+    schedule: PlaybackSchedule, *, late: int = 0, limit: int = 1000
 ) -> list[tuple[int, int]]:
-    """Poll at every deadline, or `late` after it; return items with their deadlines."""
+    """Poll at every deadline, or `late` after it; return messages' times with their deadlines."""
     came = []
     while (deadline := schedule.deadline()) is not None and len(came) < limit:
         assert schedule.next_due(deadline - 1) is None
-        item = schedule.next_due(deadline + late)
-        assert item is not None
-        came.append((item, deadline))
+        message = schedule.next_due(deadline + late)
+        assert message is not None
+        came.append((message.log_time, deadline))
     return came
 
 
-def due_now(schedule: PlaybackSchedule[int], now: int) -> list[int]:
-    return list(iter(lambda: schedule.next_due(now), None))
+def due_now(schedule: PlaybackSchedule, now: int) -> list[int]:
+    return [message.log_time for message in iter(lambda: schedule.next_due(now), None)]
 
 
 @given(
@@ -99,8 +102,8 @@ def test_loop_repeats_the_recording(times) -> None:
 
 
 def test_recording_is_read_only_as_far_as_it_is_played() -> None:
-    items = iter(range(10**9))
-    schedule = PlaybackSchedule(lambda: items, int, begin_ns=0, end_ns=10**9)
+    numbers = iter(range(10**9))
+    schedule = PlaybackSchedule(lambda: map(plain, numbers), begin_ns=0, end_ns=10**9)
     schedule.resume(START)
     assert due_now(schedule, START + 3) == [0, 1, 2, 3]
-    assert next(items) == 5  # one ahead
+    assert next(numbers) == 5  # one ahead

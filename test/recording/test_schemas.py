@@ -10,29 +10,18 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 
 PREFIXES = installed_prefixes()
-INSTALLED = sorted(
-    {
-        f'{path.parts[-3]}/msg/{path.stem}'
-        for prefix in PREFIXES
-        for path in Path(prefix).glob('share/*/msg/*.msg')
-    }
-)
-LINE = '=' * 80
+INSTALLED = sorted({
+    f'{path.parts[-3]}/msg/{path.stem}'
+    for prefix in PREFIXES for path in Path(prefix).glob('share/*/msg/*.msg')
+})
 
 
-@pytest.fixture
-def install(tmp_path):
-    """Return a function that installs a type below a prefix, `tmp_path`."""
-
-    def install(name, text, description=None):
-        package, name = name.split('/')
-        folder = tmp_path / 'share' / package / 'msg'
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f'{name}.msg').write_text(text)
-        if description is not None:
-            (folder / f'{name}.json').write_text(description)
-
-    return install
+def install(prefix, name, text, description=None):
+    path = prefix / 'share' / name.replace('/', '/msg/')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix('.msg').write_text(text)
+    if description is not None:
+        path.with_suffix('.json').write_text(description)
 
 
 @pytest.mark.parametrize('name', INSTALLED)
@@ -46,27 +35,27 @@ def test_text_has_the_hash_computed_by_rosbags(name):
     assert schema.type_hash == types.hash_rihs01(name)
 
 
-def test_text_is_assembled_as_by_rosbag2(install, tmp_path):
-    install('a/Top', 'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n')
-    install('a/Own', 'b/msg/First again\nint32 NUMBER=3\n')
-    install('b/First', 'float64 x\n')
-    install('b/Second', 'First[<=3] a\nFirst[2] b\nstring<=10 c\nwstring[<=2] d\n')
-    assert find_schema('a/msg/Top', [tmp_path]).text == (
-        'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n'
-        f'\n{LINE}\nMSG: a/Own\nb/msg/First again\nint32 NUMBER=3\n'
-        f'\n{LINE}\nMSG: b/First\nfloat64 x\n'
-        f'\n{LINE}\nMSG: b/Second\nFirst[<=3] a\nFirst[2] b\nstring<=10 c\nwstring[<=2] d\n'
-    )
+def test_text_is_assembled_as_by_rosbag2(tmp_path):
+    texts = {
+        'a/Top': 'b/Second[] list\nOwn own # b/Not\nb/First first\nstring text "b/Nor"\n',
+        'a/Own': 'b/msg/First again\nint32 NUMBER=3\n',
+        'b/First': 'float64 x\n',
+        'b/Second': 'First[<=3] a\nFirst[2] b\nstring<=10 c\nwstring[<=2] d\n',
+    }
+    for name, text in texts.items():
+        install(tmp_path, name, text)
+    _, *others = (f'\n{"=" * 80}\nMSG: {name}\n{text}' for name, text in texts.items())
+    assert find_schema('a/msg/Top', [tmp_path]).text == texts['a/Top'] + ''.join(others)
 
 
-def test_missing_type_is_named_with_the_searched_folders(install, tmp_path):
+def test_missing_type_is_named_with_the_searched_folders(tmp_path):
     with pytest.raises(SchemaError, match='a/msg/Top') as refusal:
         find_schema('a/msg/Top', [tmp_path, '/nowhere'])
     assert f'{tmp_path}/share, /nowhere/share' in str(refusal.value)
-    install('a/Top', 'b/Missing x\n', '{')
+    install(tmp_path, 'a/Top', 'b/Missing x\n', '{')
     with pytest.raises(SchemaError, match='b/msg/Missing'):
         find_schema('a/msg/Top', [tmp_path])
-    install('b/Missing', 'float64 x\n')
+    install(tmp_path, 'b/Missing', 'float64 x\n')
     with pytest.raises(SchemaError, match=r'a/msg/Top: .* cannot be read'):  # no hash
         find_schema('a/msg/Top', [tmp_path])
     for name in ('String', 'std_srvs/srv/Trigger', 'a/msg/../B'):

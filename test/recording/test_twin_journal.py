@@ -6,11 +6,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from bags import channel, text
+from bags import BEGIN, channel, text
+import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.twin_journal import DECODING_ERRORS, find_throws, TwinJournal
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.recording.twin_journal import (
+    DECODING_ERRORS,
+    find_throws,
+    ThrowStart,
+    TwinJournal,
+)
+from soft_throw_ros.storage.message import Message, SECOND
 from twin_runs import Run
 
 JOURNAL = channel('/twin/journal')
@@ -47,6 +53,13 @@ def test_a_throw_is_over_when_its_end_is_reported() -> None:
     last = next(item for item in reversed(journal) if '"throw":1,' in str(item.data))
     cut = journal[:journal.index(last)]  # repeated, up to before the end of the first throw
     assert find_throws(journal + cut)['/twin'][-2].is_over
+
+
+def test_stamps_of_slow_motion_are_times_of_the_rig() -> None:
+    throw = ThrowStart(stamp=BEGIN, number=1, time_scale=0.1)
+    stamps = throw.stamps_at(np.array([-0.5, 0.0, 2.0]))
+    assert (stamps - BEGIN).tolist() == [-5 * SECOND, 0, 20 * SECOND]
+    assert throw.seconds_to(stamps) == pytest.approx([-0.5, 0.0, 2.0])
 
 
 @pytest.mark.parametrize(

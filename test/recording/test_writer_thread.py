@@ -4,39 +4,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 import threading
 from typing import Any
 
 from bags import PLAIN, plain, read, saved, wait_until
-import pytest
 from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.storage.message import Message
 
 
-@pytest.fixture
-def start(tmp_path: Path) -> Callable[..., WriterThread]:
-    """Return a function that starts the thread of a bag in a folder."""
-
-    def start(bag: Any = BagWriter, folder: Path = tmp_path, capacity: int = 10**7) -> Any:
-        return WriterThread(lambda: bag(folder / 'bag', distribution=''), capacity=capacity)
-
-    return start
+def start(folder: Path, bag: Any = BagWriter, capacity: int = 10**7) -> WriterThread:
+    return WriterThread(lambda: bag(folder / 'bag', distribution=''), capacity=capacity)
 
 
 def numbers(folder: Path) -> list[int]:
     return [sequence for *_, sequence in read(folder / 'bag')]
 
 
-def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
-    start, tmp_path
-) -> None:
+def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(tmp_path) -> None:
     folder = tmp_path / 'folder'
     folder.write_text('in the way')
-    writer, vain = start(folder=folder), start(folder=folder)
+    writer, vain = start(folder), start(folder)
     assert str(folder) in writer.error
     for item in (writer, vain):
         item.put([plain(number) for number in range(7)])
@@ -50,9 +40,7 @@ def test_bag_that_cannot_be_created_is_retried_and_lost_messages_are_counted(
     assert numbers(folder) == list(range(7))
 
 
-def test_disk_that_hangs_while_the_bag_is_created_blocks_nobody(
-    start, tmp_path, monkeypatch
-) -> None:
+def test_disk_that_hangs_while_the_bag_is_created_blocks_nobody(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(writer_thread, 'OPEN_TIMEOUT', 0.1)
     answers = threading.Event()
 
@@ -60,7 +48,7 @@ def test_disk_that_hangs_while_the_bag_is_created_blocks_nobody(
         assert answers.wait(60.0)
         return BagWriter(path, **options)
 
-    writer = start(open_late)
+    writer = start(tmp_path, open_late)
     assert 'has not created the bag' in writer.error
     writer.put([plain(number) for number in range(7)])
     answers.set()
@@ -69,7 +57,7 @@ def test_disk_that_hangs_while_the_bag_is_created_blocks_nobody(
 
 
 def test_hanging_disk_delays_the_end_for_a_bounded_time_and_drops_are_counted(
-    start, tmp_path, monkeypatch
+    tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(writer_thread, 'STALL_TIMEOUT', 0.3)
     goes_on = threading.Event()
@@ -82,7 +70,7 @@ def test_hanging_disk_delays_the_end_for_a_bounded_time_and_drops_are_counted(
                 assert goes_on.wait(60.0)
             super().flush()
 
-    writer = start(HungBag, capacity=1_000_000)
+    writer = start(tmp_path, HungBag, capacity=1_000_000)
     writer.put([plain(0)])
     wait_until(lambda: writer.waiting == 0)
     writer.put([plain(number, size=9_500) for number in range(1, 151)])  # 10 kB each in memory
@@ -96,10 +84,8 @@ def test_hanging_disk_delays_the_end_for_a_bounded_time_and_drops_are_counted(
     assert numbers(tmp_path) == list(range(101))
 
 
-def test_messages_except_those_with_invalid_time_are_written_in_order_within_a_period(
-    start, tmp_path
-) -> None:
-    writer = start()
+def test_messages_except_those_with_invalid_time_are_written_in_order(tmp_path) -> None:
+    writer = start(tmp_path)
     for number in range(0, 1000, 10):
         writer.put([plain(n) for n in range(number, number + 10)])
     writer.put([Message(PLAIN, b'', -1, 0)])

@@ -84,7 +84,7 @@ def exact_release(rig):
 def released(stepper, periods=12.0):
     """Advance a stepper until the projectile has left, and return it."""
     period = 1.0 / stepper.rig.engine.frequency
-    assert stepper.advance_to_release(latest=periods * period, step=0.25 * period), 'no release'
+    assert stepper.advance_to_release(latest=periods * period), 'no release'
     return stepper
 
 

@@ -27,12 +27,11 @@ import bisect
 import heapq
 from itertools import pairwise
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.plate import motion_of, PlateMotion, SampledMotion
+from soft_throw_ros.core.plate import motion_of, SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event
 
@@ -48,259 +47,170 @@ _TO_COEFFICIENTS: Floats = np.linalg.inv(chebyshev.chebvander(_NODES, _SIZE - 1)
 _INTEGRAL: Floats = np.stack(
     [chebyshev.chebint(row, lbnd=-1)[:_SIZE] for row in np.eye(_SIZE)], axis=1
 )
-_IDENTITY = np.eye(_SIZE)
-_AT_END = np.ones(_SIZE)
-
-
-class _Series:
-    """A function of time as Chebyshev pieces laid end to end, constant 0 before the first."""
-
-    def __init__(self, start: float) -> None:
-        self.edges = [start]
-        self.pieces: list[Floats] = []
-        self._stack: Floats | None = None
-
-    def append(self, end: float, coefficients: Floats) -> None:
-        self.edges.append(end)
-        self.pieces.append(coefficients)
-        self._stack = None
-
-    def __call__(self, times: Floats) -> Floats:
-        """Evaluate; times after the last piece are taken as at its end."""
-        if not self.pieces:
-            return np.zeros_like(times)
-        first = bisect.bisect_right(self.edges, float(times.min())) - 1
-        last = bisect.bisect_right(self.edges, float(times.max())) - 1
-        if first == last and 0 <= first < len(self.pieces):
-            start, end = self.edges[first], self.edges[first + 1]
-            x = (2.0 * times - (start + end)) / (end - start)
-            return np.asarray(chebyshev.chebval(x, self.pieces[first]))
-        if self._stack is None:
-            self._stack = np.array(self.pieces)
-        edges = np.asarray(self.edges)
-        index = np.searchsorted(edges, times, side='right') - 1
-        inside = np.clip(index, 0, len(self.pieces) - 1)
-        lefts, rights = edges[inside], edges[inside + 1]
-        x = np.clip((2.0 * times - (lefts + rights)) / (rights - lefts), -1.0, 1.0)
-        values = chebyshev.chebval(x, np.moveaxis(self._stack[inside], -1, 0), tensor=False)
-        return np.where(index < 0, 0.0, values)
 
 
 class WaveHistory:
     """
-    All that happens in one throw, from rest to the last event asked for.
+    All that happens in one throw, from rest to the last event asked for; made by `follow`.
 
-    Made by `follow`. Times are those of the plate's motion.
-
-    Attributes
-    ----------
-    events : tuple of Event
-        In order; the first is a release. Empty if the projectile never left in the time given.
-    end_time : float
-        Until when everything is known. [s]
-
+    Times are those of the plate's motion. `events` has a release first, and is empty if the
+    projectile never left in the time given.
     """
 
     def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self.motion = motion_of(rig.engine)
-        self._crossing = rig.crossing_time
-        start = float(_knots(self.motion)[0]) + self._crossing
-        self._down = _Series(start)  # q at the top
-        self._mass_velocity = _Series(start)
-        self._mass_rise = _Series(start)
-        self.events: tuple[Event, ...] = ()
+        self.rig, self.motion = rig, motion_of(rig.engine)
+        self.events: list[Event] = []
+        self._crossing, self._tau = rig.crossing_time, rig.relaxation_time
+        self._lift = rig.gravity * rig.relaxation_time
+        knots = self.motion.times if isinstance(self.motion, SampledMotion) else np.zeros(1)
+        self._kinks: list[float] = (knots + self._crossing).tolist()  # increasing, so a heap
+        start = self._kinks[0]
+        heapq.heapreplace(self._kinks, start + 2.0 * self._crossing)
+        self._edges = [start]
+        self._pieces: list[Floats] = []  # coefficients of q at the top, V_m, and its integral
+        self._velocity = self._rise = self._top = 0.0  # at the end
 
     @property
     def end_time(self) -> float:
         """Until when everything is known [s]."""
-        return self._down.edges[-1]
+        return self._edges[-1]
 
-    def upward(self, times: Floats) -> Floats:
+    def _evaluate(self, row: int, time: ArrayLike) -> Floats:
+        """Evaluate a row of the pieces, which is 0 before the first one."""
+        times = np.asarray(time, dtype=np.float64)
+        flat = times.ravel()
+        assert flat.max() <= self.end_time * (1.0 + 1e-12), 'follow the throw for longer'
+        numbers = np.array([bisect.bisect_right(self._edges, t) - 1 for t in flat.tolist()])
+        numbers = np.minimum(numbers, len(self._pieces) - 1)
+        values = np.zeros(flat.size)
+        for n in set(numbers[numbers >= 0].tolist()):
+            low, high = self._edges[n:n + 2]
+            x = (2.0 * flat[numbers == n] - (low + high)) / (high - low)
+            values[numbers == n] = chebyshev.chebval(np.minimum(x, 1.0), self._pieces[n][row])
+        return values.reshape(times.shape)
+
+    def _down(self, time: ArrayLike) -> Floats:
+        """Downward wave at the top, q [m/s]."""
+        return self._evaluate(0, time)
+
+    def upward(self, time: Floats) -> Floats:
         """Upward wave at the top, p; known for one crossing more than the rest [m/s]."""
-        return self.motion.velocity(times - self._crossing) - self._down(
-            times - 2.0 * self._crossing
-        )
+        return self.motion.velocity(time - self._crossing) - self._down(time - 2 * self._crossing)
 
     def projectile_velocity(self, time: ArrayLike) -> Floats:
         """Velocity of the projectile, upwards [m/s]."""
-        return self._mass_velocity(self._known(time))
+        return self._evaluate(1, time)
 
     def projectile_position(self, time: ArrayLike) -> Floats:
         """Height of the projectile's lower face above the plate's rest position [m]."""
-        return self.rig.rest_height + self._mass_rise(self._known(time))
+        return self.rig.rest_height + self._evaluate(2, time)
 
-    def velocity(self, depth: ArrayLike, time: ArrayLike) -> Floats:
+    def velocity(self, depth: Floats, time: float) -> Floats:
         """Velocity of the material at undeformed depths [m] from the plate, upwards [m/s]."""
         up, down = self._waves(depth, time)
         return up + down
 
-    def strain(self, depth: ArrayLike, time: ArrayLike) -> Floats:
+    def strain(self, depth: Floats, time: float) -> Floats:
         """Strain of the layer, negative in compression, with the weight's static part [-]."""
         up, down = self._waves(depth, time)
-        static = self.rig.gravity * self.rig.relaxation_time
-        return (down - up - static) / self.rig.layer.wave_speed
+        return (down - up - self._lift) / self.rig.layer.wave_speed
+
+    def _waves(self, depth: Floats, time: float) -> tuple[Floats, Floats]:
+        """Upward and downward wave at (depth, time)."""
+        from_top = (self.rig.layer.thickness - depth) / self.rig.layer.wave_speed
+        return self.upward(time + from_top), self._down(time - from_top)
 
     def contact_force(self, time: ArrayLike) -> Floats:
         """Force of the layer on the projectile, upwards: 0 in flight [N]."""
-        time = self._known(time)
-        pushed = self.rig.layer.impedance * (self.upward(time) - self._down(time))
-        force = pushed + self.rig.projectile.mass * self.rig.gravity
-        return np.where(self._touching(time), force, 0.0)
+        time = np.asarray(time)
+        force = self.rig.layer.impedance * (self.upward(time) - self._down(time) + self._lift)
+        events = np.searchsorted([event.time for event in self.events], time)
+        return np.where(events % 2 == 0, force, 0.0)
 
     def plate_force(self, time: ArrayLike) -> Floats:
         """Force of the layer on the plate, upwards: negative when the plate pushes [N]."""
-        time = self._known(time)
+        time = np.asarray(time)
         wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
-        weight = self.rig.projectile.mass * self.rig.gravity
-        return self.rig.layer.impedance * wave - weight
+        return self.rig.layer.impedance * (wave - self._lift)
 
-    def _known(self, time: ArrayLike) -> Floats:
-        time = np.asarray(time, dtype=np.float64)
-        assert not time.size or time.max() <= self.end_time, 'follow the throw for longer'
-        return time
+    def next_kink(self) -> float:
+        """First kink clearly after the end; those reached are sent round the layer again."""
+        while self._kinks[0] <= self.end_time * (1.0 + 4e-16) + 1e-13 * self._crossing:
+            heapq.heapreplace(self._kinks, self._kinks[0] + 2.0 * self._crossing)
+        return self._kinks[0]
 
-    def _waves(self, depth: ArrayLike, time: ArrayLike) -> tuple[Floats, Floats]:
-        """Upward and downward wave at (depth, time)."""
-        depth = np.asarray(depth, dtype=np.float64)
-        from_top = (self.rig.layer.thickness - depth) / self.rig.layer.wave_speed
-        time = self._known(time)
-        return self.upward(time + from_top), self._down(time - from_top)
-
-    def _touching(self, time: Floats) -> NDArray[np.bool_]:
-        """Return the times in contact with the layer as a mask; a release counts as contact."""
-        passed = np.searchsorted([event.time for event in self.events], time, side='left')
-        return np.asarray(passed % 2 == 0)
-
-
-def follow(rig: Rig, *, until: float | None = None, max_events: int | None = None) -> WaveHistory:
-    """Follow a throw from rest to `until` [s], or so many events, or else to the first landing."""
-    assert not rig.layer.needs_cells
-    return _Follower(rig, until, max_events).run()
-
-
-class _Follower:
-    """The march through the pieces."""
-
-    def __init__(self, rig: Rig, until: float | None, max_events: int | None) -> None:
-        self.history = WaveHistory(rig)
-        motion = self.history.motion
-        self.tau: float = rig.relaxation_time
-        self.crossing: float = rig.crossing_time
-        self.gravity = rig.gravity
-        self.lift = rig.gravity * rig.relaxation_time
-        self.scale = motion.peak_velocity
-        self.max_events = max_events
-        self.until = math.inf if until is None else until
-        self.kinks: list[float] = (_knots(motion) + self.crossing).tolist()
-        heapq.heapify(self.kinks)
-        self.time = float(heapq.heappop(self.kinks))
-        heapq.heappush(self.kinks, self.time + 2.0 * self.crossing)
-        self.flying = False
-        self.velocity = 0.0
-        self.rise = 0.0
-        self.top = 0.0
-        self.events: list[Event] = []
-
-    def run(self) -> WaveHistory:
-        """March until an end condition holds."""
-        length = self.crossing
-        for _ in range(_MAX_PIECES):
-            if self.time >= self.until or self._is_over():
-                self.history.events = tuple(self.events)
-                return self.history
-            end = min(self._next_kink(), self.until)
-            length = self._advance(min(end, self.time + length), end)
-        raise RuntimeError(f'more than {_MAX_PIECES} pieces until {self.time:g} s')
-
-    def _next_kink(self) -> float:
-        """First kink clearly after now; those reached are sent round the layer again."""
-        while self.kinks[0] <= self.time * (1.0 + 4e-16) + 1e-13 * self.crossing:
-            kink = heapq.heappop(self.kinks)
-            heapq.heappush(self.kinks, kink + 2.0 * self.crossing)
-        return self.kinks[0]
-
-    def _is_over(self) -> bool:
-        if self.max_events is not None:
-            return len(self.events) >= self.max_events
-        landed = any(event.kind == 'landing' and event.velocity <= 0.0 for event in self.events)
-        return landed and self.until == math.inf
-
-    def _advance(self, end: float, limit: float) -> float:
-        """Do one piece, shorter than asked if it must be; return the next length to try."""
-        start = self.time
+    def advance(self, end: float, limit: float) -> float:
+        """Add a piece, shorter than asked if it must be; return the next length to try."""
+        start, scale = self.end_time, self.motion.peak_velocity
         while True:
             half = 0.5 * (end - start)
-            upward = _TO_COEFFICIENTS @ self.history.upward(start + half * (_NODES + 1.0))
-            rate = half / self.tau
-            if self.flying:
-                velocity = np.zeros(_SIZE)
-                velocity[0] = self.velocity - self.gravity * half
-                velocity[1] = -self.gravity * half
-                tail = upward[-3:]
-            else:
-                source = 2.0 * rate * (_INTEGRAL @ upward)
-                source[0] += self.velocity
-                velocity = np.asarray(
-                    np.linalg.solve(_IDENTITY + rate * _INTEGRAL, source), np.float64
-                )
-                tail = np.concatenate((upward[-3:], velocity[-3:]))
-            if np.abs(tail).max() <= _TOLERANCE * self.scale or half < 1e-12 * self.crossing:
+            upward = _TO_COEFFICIENTS @ self.upward(start + half * (_NODES + 1.0))
+            velocity = self._velocities(half, upward)
+            last = np.abs((upward[-3:], velocity[-3:])).max()
+            if last <= _TOLERANCE * scale or half < 1e-12 * self._crossing:
                 break
             end = 0.5 * (start + end)
-        event = self._first_event(half, upward, velocity)
+        in_flight = len(self.events) % 2
+        excess, noise = 2.0 * upward - velocity, 1e-14 * scale  # of the force
+        excess[0] += self._lift
+        if in_flight:  # of the gap
+            excess, noise = -half * (_INTEGRAL @ excess), noise * half
+            excess[0] += self._rise - self._top
+        event = _first_negative(excess, noise)
         if event is not None:
             end = float(start + half * (event + 1.0))
             upward, velocity = _cut(upward, event), _cut(velocity, event)
             half = 0.5 * (end - start)
         if end > start:  # otherwise the event comes at once
-            self._store(end, half, upward, velocity)
-        if event is not None:
-            self._happen(end)
-            return max(self.crossing * 1e-3, min(self.tau, self.crossing))
-        return limit - start if end == limit else 2.0 * (end - start)
-
-    def _first_event(self, half: float, upward: Floats, velocity: Floats) -> float | None:
-        """Where in [-1, 1] the force turns to pull, or the gap closes; None if it does not."""
-        if self.flying:
-            opening = velocity - 2.0 * upward
-            opening[0] -= self.lift
-            gap = half * (_INTEGRAL @ opening)
-            gap[0] += self.rise - self.top
-            return _first_negative(gap, 1e-14 * self.scale * half)
-        force = 2.0 * upward - velocity
-        force[0] += self.lift
-        return _first_negative(force, 1e-14 * self.scale)
-
-    def _store(self, end: float, half: float, upward: Floats, velocity: Floats) -> None:
-        """Lay the piece down and move on."""
-        history = self.history
-        rise = half * (_INTEGRAL @ velocity)
-        rise[0] += self.rise
-        if self.flying:
-            down = upward.copy()
-            down[0] += self.lift
-            top = half * (_INTEGRAL @ (upward + down))
-            top[0] += self.top
+            down, rise = velocity - upward, half * (_INTEGRAL @ velocity)
+            rise[0] += self._rise
+            if in_flight:
+                down = upward.copy()
+                down[0] += self._lift
+                self._top += float((half * (_INTEGRAL @ (upward + down))).sum())
+            self._edges.append(end)
+            self._pieces.append(np.stack((down, velocity, rise)))
+            self._velocity, self._rise = float(velocity.sum()), float(rise.sum())
+        if event is None:
+            return limit - start if end == limit else 2.0 * (end - start)
+        height = self.rig.rest_height + self._rise
+        self.events.append(
+            Event('landing' if in_flight else 'release', end, height, self._velocity)
+        )
+        if in_flight:
+            self._rise = self._top
         else:
-            down = velocity - upward
-            top = rise
-        history._down.append(end, down)
-        history._mass_velocity.append(end, velocity)
-        history._mass_rise.append(end, rise)
-        self.time = end
-        self.velocity = float(velocity @ _AT_END)
-        self.rise = float(rise @ _AT_END)
-        self.top = float(top @ _AT_END)
+            self._top = self._rise
+        heapq.heappush(self._kinks, end + 2.0 * self._crossing)
+        return max(self._crossing * 1e-3, min(self._tau, self._crossing))
 
-    def _happen(self, time: float) -> None:
-        """Change between contact and flight."""
-        kind: Literal['release', 'landing'] = 'landing' if self.flying else 'release'
-        height = self.history.rig.rest_height + self.rise
-        self.events.append(Event(kind, time, height, self.velocity))
-        self.flying = not self.flying
-        self.rise = self.top
-        heapq.heappush(self.kinks, time + 2.0 * self.crossing)
+    def _velocities(self, half: float, upward: Floats) -> Floats:
+        """Coefficients of V_m on the next piece, of half a length."""
+        if len(self.events) % 2:
+            fall = self.rig.gravity * half
+            return np.pad([self._velocity - fall, -fall], (0, _SIZE - 2))
+        rate = half / self._tau
+        source = 2.0 * rate * (_INTEGRAL @ upward)
+        source[0] += self._velocity
+        return np.asarray(np.linalg.solve(np.eye(_SIZE) + rate * _INTEGRAL, source))
+
+
+def follow(rig: Rig, *, until: float = math.inf, max_events: int | None = None) -> WaveHistory:
+    """Follow a throw from rest to `until` [s], or so many events, or else to the first landing."""
+    assert not rig.layer.needs_cells
+    history, length = WaveHistory(rig), rig.crossing_time
+    for _ in range(_MAX_PIECES):
+        events = history.events
+        is_over = until == math.inf and any(
+            event.kind == 'landing' and event.velocity <= 0.0 for event in events
+        )
+        if max_events is not None:
+            is_over = len(events) >= max_events
+        if is_over or history.end_time >= until:
+            return history
+        limit = min(history.next_kink(), until)
+        length = history.advance(min(limit, history.end_time + length), limit)
+    raise RuntimeError(f'more than {_MAX_PIECES} pieces until {history.end_time:g} s')
 
 
 def _cut(coefficients: Floats, x: float) -> Floats:
@@ -320,23 +230,14 @@ def _first_negative(coefficients: Floats, noise: float) -> float | None:
     roots = chebyshev.chebroots(trimmed)
     real = np.sort(roots[np.abs(roots.imag) < 1e-7].real)
     edges = np.concatenate(([-1.0], real[(real > -1.0) & (real < 1.0)], [1.0]))
-    for start, end in pairwise(edges):
-        middle = chebyshev.chebval(0.5 * (start + end), coefficients)
-        if middle < -noise:
-            return _polished(coefficients, start) if start > -1.0 else -1.0
-    return None
-
-
-def _polished(coefficients: Floats, root: float) -> float:
-    """Improve a simple root by two Newton steps."""
     slope = chebyshev.chebder(coefficients)
-    for _ in range(2):
-        change = chebyshev.chebval(root, coefficients) / chebyshev.chebval(root, slope)
-        if abs(change) < 1e-4:
-            root -= change
-    return float(min(max(root, -1.0), 1.0))
-
-
-def _knots(motion: PlateMotion) -> Floats:
-    """Return the times at which a motion is not smooth, the start first [s]."""
-    return motion.times if isinstance(motion, SampledMotion) else np.zeros(1)
+    for start, end in pairwise(edges.tolist()):
+        if chebyshev.chebval(0.5 * (start + end), coefficients) >= -noise:
+            continue
+        root = start
+        for _ in range(2 if start > -1.0 else 0):  # Newton
+            change = chebyshev.chebval(root, coefficients) / chebyshev.chebval(root, slope)
+            if abs(change) < 1e-4:
+                root -= change
+        return float(min(max(root, -1.0), 1.0))
+    return None
