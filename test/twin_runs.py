@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 import itertools
 import math
 from typing import Any
@@ -30,22 +29,6 @@ PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 """Readings of the sensors at height 0. [m]"""
 
 
-def replay(lines: Iterable[str], *, until: int, throw: int = 0) -> Iterator[Outputs]:
-    """Replay a journal up to a step, from its first start or the start of a throw."""
-    entries = map(journal.decode, lines)
-    begins = (
-        entry
-        for entry in entries
-        if (entry['kind'] == 'throw' and throw in (0, entry['throw']))
-        or (entry['kind'] == 'start' and throw == 0)
-    )
-    session = Session.from_entry(next(begins))
-    for entry in entries:
-        if entry['kind'] == 'samples' or entry['step'] < until:
-            yield from session.follow(entry)
-    yield from session.advance_to(until)
-
-
 class Run:
     """
     A session from step 0 at `begin_ns`, its journal, and all that came out.
@@ -66,7 +49,6 @@ class Run:
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
-        self._notices: list[str] = []
 
     def go(self, steps: int) -> list[Outputs]:
         """Advance by a number of steps and return their outputs."""
@@ -77,8 +59,6 @@ class Run:
             self.on_samples([sample for _, sample in self._waiting[:count]])
             del self._waiting[:count]
             self.on_step(self.session.advance())
-            if self.session.step % round(self.session.rate) == 0:
-                self._notices += self.session.diagnose_sensors()
         return self.outputs[first:]
 
     def on_entry(self, line: str) -> None:
@@ -133,10 +113,6 @@ class Run:
     def phase_changes(self) -> list[PhaseChange]:
         return [change for outputs in self.outputs for change in outputs.phases]
 
-    def notices(self) -> list[str]:
-        self._notices += self.session.diagnose_sensors()
-        return self._notices
-
     def entries(self, kind: str) -> list[dict[str, Any]]:
         entries = map(journal.decode, self.journal)
         return [entry for entry in entries if entry['kind'] == kind]
@@ -148,10 +124,16 @@ class Run:
     def assert_repeated(self, throw: int = 0) -> None:
         """Assert that the replay, from the start of a throw, has the same outputs bit by bit."""
         self.session.close()
-        begin = self.starts()[throw - 1] if throw else 0
-        again = list(replay(self.journal, until=self.session.step, throw=throw))
+        entries, written = list(map(journal.decode, self.journal)), list[str]()
+        kinds = [(entry['kind'], entry.get('throw')) for entry in entries]
+        first = kinds.index(('throw', throw)) if throw else 0
+        session = Session.from_entry(entries[first], on_entry=written.append)
+        again = [out for entry in entries[first + 1:] for out in session.follow(entry)]
+        session.close()
+        begin = entries[first]['step']
         assert len(again) == len(self.outputs) - begin
         assert all(map(same, again, self.outputs[begin:]))
+        assert throw or written == self.journal
 
 
 STROKE = [
@@ -199,11 +181,11 @@ def named(request: dict[str, Any]) -> dict[str, Any]:
 
 def same(ours: Outputs, theirs: Outputs) -> bool:
     """Compare outputs: numbers by all digits, arrays by bytes, and fields of throws by calls."""
-    return _content(ours) == _content(theirs)
+    return _content([*vars(ours).values()]) == _content([*vars(theirs).values()])
 
 
 def _content(value: Any) -> Any:
-    if isinstance(value, tuple):
+    if isinstance(value, (tuple, list)):
         return [_content(part) for part in value]
     if callable(value):
         return _content(value())
@@ -243,8 +225,3 @@ def measured_throw(
         Sample(stamp, plate, projectile)
         for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
     ]
-
-
-def aged(rig: Rig, factor: float) -> Rig:
-    """Return a rig with the wave speed of its layer multiplied by a factor."""
-    return replace(rig, layer=replace(rig.layer, wave_speed=factor * rig.layer.wave_speed))

@@ -24,9 +24,9 @@ of second order,
     v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
 
 :math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
-acceleration) keeps the scheme stable. The implicit part is one tridiagonal system with constant
-coefficients, whose factors are computed once. All counts from the static equilibrium; the weight
-of the layer is left out as in [1]_.
+acceleration) keeps the scheme stable. The implicit part is one tridiagonal system, factorised when
+the contact changes. All counts from the static equilibrium; the weight of the layer is left out as
+in [1]_.
 
 The contact force is the inertia of the projectile, which leaves when the force falls below zero,
 at the root of the cubic through four steps. After that the nodes are free of each other, and of
@@ -160,7 +160,6 @@ RECORD = np.dtype(
         ('step', 'f8'),  # [s]
         ('rate', 'f8'),  # 2 / step [1/s]
         ('cells', 'i8'),  # number of cells, and of the link that is the contact
-        ('is_curved', '?'),  # the sheets are neo-Hookean
         ('has_maxwell', '?'),
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
@@ -211,7 +210,6 @@ def _cut(s, nodes, counts, sheets):
         if modulus > 0.0:
             ratio = _static_stretch(weight / modulus)
             strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio, 0.0)
-            s.is_curved = True
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
         else:
             strain = weight / sheet[ROW.stiffness] * inverse
@@ -228,11 +226,8 @@ def _cut(s, nodes, counts, sheets):
             s.has_maxwell = s.has_maxwell or sheet[ROW.maxwell_stiffness + element] > 0.0
         if sheet[ROW.implicit_stiffness] > 0.0:
             s.stiff[0], s.stiff[1] = min(s.stiff[0], first), s.cells - 1
-    for end in range(2):
-        edge = end * (s.cells - 1)
-        is_alone = counts[end * (counts.size - 1)] == 1
-        s.edge_cells[end, 0] = edge
-        s.edge_cells[end, 1] = edge if is_alone else edge + 1 - 2 * end
+    s.edge_cells[0, 1] = min(1, counts[0] - 1)
+    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.cells - 1, s.cells - min(2, counts[-1])
 
 
 @subroutine
@@ -338,7 +333,7 @@ def _prepare(
 def _elastic_tension(s, nodes):
     """Compute the elastic tension of all links."""
     now = s.index & 1
-    if s.is_curved:
+    if nodes[ROW.third_modulus, 0] > 0.0:  # all sheets have one law
         _neo_hookean_tension(s, nodes)
     else:
         for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
@@ -540,12 +535,10 @@ def _compare_loads(s, nodes):
 
 
 @subroutine
-def _motion(s, nodes, j, fraction):
+def _motion(s, nodes, j, t):
     """Interpolate displacement and velocity of a node between the last two steps."""
     u, v, step = nodes[ROW.displacement, j], nodes[ROW.velocity, j], s.step
-    if s.index == 0:
-        return u, v
-    now, t = s.index & 1, fraction
+    now = s.index & 1
     # Changes of velocity in half a step, of an acceleration that is linear in time
     old, new = v - nodes[ROW.mean_velocity + 1 - now, j], nodes[ROW.mean_velocity + now, j] - v
     before = u - step * v
@@ -578,10 +571,7 @@ def _advance(core, nodes, path, events, time):
         return stepper.TOO_MANY_EVENTS
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
-    s.time = time
-    s.fraction = 1.0
-    if goal > 0:
-        s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
+    s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
     later, weight = 2, 1.0
     if time < s.event_time:  # the event is still to come
         until = min(max(s.event_time / step - (goal - 1), 1e-9), 1.0)
@@ -605,7 +595,7 @@ def _advance(core, nodes, path, events, time):
 @subroutine
 def _move_nodes(s, nodes):
     """Interpolate all nodes, and the forces through all cells, at the requested time."""
-    now, fraction = s.index & 1, s.fraction if s.index > 0 else 1.0
+    now, fraction = s.index & 1, s.fraction
     for j in range(nodes.shape[1]):
         nodes[ROW.position, j], nodes[ROW.speed, j] = _motion(s, nodes, j, fraction)
     nodes[ROW.position, 0] = s.state[stepper.PLATE_POSITION]
@@ -653,7 +643,7 @@ def _stored_energy(core: Any, nodes: Any) -> float:
     weight = s.mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
     total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
-    remainder = (1.0 - s.fraction) * s.step if s.index > 0 else 0.0
+    remainder = (1.0 - s.fraction) * s.step
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
@@ -838,9 +828,9 @@ class CellStepper(Stepper):
         cells = cells_per_layer(rig) if cells is None else cells
         stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
         (step,), (counts,), (lengths,), (sheets,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
-        self.step, self.cells = float(step), int(counts.sum())
-        self.cost = _UPDATE_COST * (self.cells + 2) / self.step
-        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, self.cells + 2))
+        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, int(counts.sum()) + 2))
+        self.step = float(step)
+        self.cost = _UPDATE_COST * nodes.shape[1] / self.step
         _prepare(
             core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,

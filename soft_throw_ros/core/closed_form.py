@@ -96,12 +96,8 @@ class FirstRelease(NamedTuple):
 
 
 def first_releases(
-    *,
-    mass_ratio: ArrayLike,
-    speed_ratio: ArrayLike,
-    damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0,
-    threads: int | None = None,
+    *, mass_ratio: ArrayLike, speed_ratio: ArrayLike, damping_ratio: ArrayLike = 0.0,
+    gravity_ratio: ArrayLike = 0.0, threads: int | None = None,
 ) -> FirstRelease:
     r"""
     Compute times and speeds of the first releases of rigid projectiles.
@@ -226,8 +222,6 @@ class _Wave(NamedTuple):
     inverse: complex  # 1 / (1 + lambda mu)
     reflection: complex  # r(lambda)
     to_force: complex  # from the steady upward wave to the steady G
-    step: complex  # e^{2 lambda}
-    fade: float  # e^{-2 / mu}
 
 
 @inlined
@@ -247,8 +241,7 @@ def _wave(mu, kappa, zeta, gravity):
     inverse = complex(below.real * scale, -below.imag * scale)
     return _Wave(
         mu, rate, kappa, root, gravity * crossing * mu * root, lam, inverse,
-        (lam * mu - 1.0) * inverse, 2.0 * (lam * mu) * inverse, _phasor(lam, 2.0),
-        math.exp(-2.0 * rate),
+        (lam * mu - 1.0) * inverse, 2.0 * (lam * mu) * inverse,
     )
 
 
@@ -261,9 +254,10 @@ def _find(wave, c, b):
     """
     turn, weight = wave.lam.imag, wave.weight
     steady = complex(1.0, 0.0)  # Q_k
-    c[0], b[0] = -2.0 * wave.inverse.imag, wave.fade
+    step = _phasor(wave.lam, 2.0)  # e^{2 lambda}
+    c[0], b[0] = -2.0 * wave.inverse.imag, math.exp(-2.0 * wave.rate)
     s_now, s_next = 0.0, c[0] * b[0]
-    force = (wave.to_force * wave.step).imag - s_next + weight  # at the end of the interval
+    force = (wave.to_force * step).imag - s_next + weight  # at the end of the interval
     if weight == 0.0:
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
         high = min(2.0, math.pi / turn)
@@ -283,7 +277,7 @@ def _find(wave, c, b):
     effort, largest, margin = 0.0, 1.0, turn
     longest = 0.5 * MAX_PERIODS * max(wave.kappa, 2.0 * math.pi * math.sqrt(wave.mu))
     for k in range(1, int(min(MAX_INTERVALS, 2.0 + longest))):
-        arriving *= wave.step
+        arriving *= step
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
         underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
@@ -298,7 +292,7 @@ def _find(wave, c, b):
             s_next += c[k - j] * b[j]
         pull = wave.to_force * steady
         before = force
-        force = (pull * wave.step).imag - s_next - s_now + weight
+        force = (pull * step).imag - s_next - s_now + weight
         # Where may G + weight come down to 0 and rise again? See the Notes of the module.
         smooth = True
         if weight > 0.0:

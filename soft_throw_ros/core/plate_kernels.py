@@ -27,8 +27,6 @@ MAX_PIECES_AHEAD = 4096
 _PIECES_PER_PERIOD = 32.0
 """Pieces in a period of a damped step, whose speeds err by 1e-8 of the largest. [-]"""
 
-_ROWS = 7
-
 _quintic, _damped_state = subroutine(quintic), subroutine(damped_state)
 
 PLATE = [
@@ -47,8 +45,7 @@ PLATE = [
 ]
 """Fields of a record, for `numpy.dtype`."""
 
-
-NO_PATH = np.empty((_ROWS, 0))
+NO_PATH = np.empty((7, 0))
 """Path of a damped step."""
 
 
@@ -70,9 +67,9 @@ def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -
     record['pieces'] = 1
     record['last'][0] = -math.inf
     if motion is None or is_measured:
-        return np.zeros((_ROWS, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
+        return np.zeros((7, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
     record['horizon'] = math.inf
-    path = np.zeros((_ROWS, motion.times.size + 1))
+    path = np.zeros((7, motion.times.size + 1))
     pieces = append_states(record['last'], 1, path, motion.times, motion.states)
     path[:2, -1] = motion.end_time, motion.states[-1, 0]  # there it stays
     record['pieces'] = pieces + 1
@@ -90,17 +87,14 @@ def enter_piece(s: Record, path: Floats, time: float) -> None:
         elif (s.piece + 1) * s.duration <= time:
             s.piece += 1
         s.piece_begin, s.piece_end = s.piece * s.duration, (s.piece + 1) * s.duration
-        if last[0] != s.piece_begin:
-            last[1], last[2], last[3] = _damped_state(
-                s.piece_begin, s.amplitude, s.growth, s.turn
-            )
-        height, velocity, acceleration = _damped_state(
-            s.piece_end, s.amplitude, s.growth, s.turn
-        )
+        begin, end = s.piece_begin, s.piece_end
+        if last[0] != begin:
+            last[1], last[2], last[3] = _damped_state(begin, s.amplitude, s.growth, s.turn)
+        state = _damped_state(end, s.amplitude, s.growth, s.turn)
         c[0], c[1], c[2], c[3], c[4], c[5] = _quintic(
-            s.piece_end - s.piece_begin, last[1], last[2], last[3], height, velocity, acceleration
+            end - begin, last[1], last[2], last[3], state[0], state[1], state[2]
         )
-        last[0], last[1], last[2], last[3] = s.piece_end, height, velocity, acceleration
+        last[0], last[1], last[2], last[3] = end, state[0], state[1], state[2]
         return
     capacity = path.shape[1]
     while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
@@ -140,13 +134,14 @@ def append_states(last: Floats, pieces: int, path: Floats, times: Floats, states
     return pieces
 
 
-def extrapolate(core: NDArray[np.void], path: Floats) -> None:
+@kernel
+def extrapolate(core: Record, path: Floats) -> None:
     """Extend the plate's motion for ever, with its acceleration at the horizon."""
-    s = core[0]
-    time, height, velocity, acceleration = s['last'].tolist()
-    if math.isfinite(s['horizon']) and time >= 0.0:
-        piece = time, height, velocity, 0.5 * acceleration, 0.0, 0.0, 0.0
-        path[:, s['pieces'] % path.shape[1]] = piece
-        s['pieces'] += 1
-    s['piece_end'] = -math.inf  # the present piece may end now
-    core['horizon'][:2] = math.inf
+    s, last = core[0], core[0].last
+    if math.isfinite(s.horizon) and last[0] >= 0.0:
+        piece = path[:, s.pieces % path.shape[1]]
+        piece[0], piece[1], piece[2] = last[0], last[1], last[2]
+        piece[3], piece[4:] = 0.5 * last[3], 0.0
+        s.pieces += 1
+    s.piece_end = -math.inf  # the present piece may end now
+    s.horizon = core[1].horizon = math.inf

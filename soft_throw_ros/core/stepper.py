@@ -34,12 +34,7 @@ from soft_throw_ros.core.rig import Rig, scales_of
 Floats = NDArray[np.float64]
 
 (
-    TIME,
-    PLATE_POSITION,
-    PROJECTILE_POSITION,
-    PLATE_VELOCITY,
-    PROJECTILE_VELOCITY,
-    PLATE_FORCE,
+    TIME, PLATE_POSITION, PROJECTILE_POSITION, PLATE_VELOCITY, PROJECTILE_VELOCITY, PLATE_FORCE,
     PROJECTILE_FORCE,
 ) = range(7)
 """Indices of `Stepper.state`."""
@@ -48,7 +43,6 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
 _EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
-
 _NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
 MAX_EVENTS = 4096
@@ -59,7 +53,6 @@ _SLICE = 0.1
 
 COMMON = [
     *PLATE,
-    ('time', 'f8'),  # [s]
     ('contact', '?'),
     ('landed', '?'),
     ('events', 'i8'),
@@ -280,13 +273,9 @@ class Stepper:
         uncertain by 2e-3 of its scale at the end of this crossing.
         """
         self._numbers[:] = origin._numbers
-        self._copy_layer(origin)
+        self._layer[:] = origin._layer
         self._append(times, states)
         extrapolate(self._core, self._path)
-
-    def _copy_layer(self, origin: Stepper) -> None:
-        """Copy the state of the layer."""
-        self._layer[:] = origin._layer
 
     def read_layer(self) -> Floats:
         """
@@ -347,12 +336,9 @@ class Stepper:
 
 
 def follow_batch(
-    record: np.dtype[np.void],
-    advance: Callable[..., int],
+    record: np.dtype[np.void], advance: Callable[..., int],
     prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
-    values: Mapping[str, Floats],
-    latest: Floats,
-    cancelled: Cancelled | None,
+    values: Mapping[str, Floats], latest: Floats, cancelled: Cancelled | None,
 ) -> Floats:
     """
     Follow throws to their first releases, or up to some latest times [s], without steppers.
@@ -377,9 +363,8 @@ def follow_batch(
             if advance(core, layer, NO_PATH, no_events, latest[n] * (look / looks)):
                 break
         now = core[1]
-        rows[0, n] = now['event_time'] if now['events'] else math.nan
-        rows[1, n], rows[2:5, n] = now['event_velocity'], now['loads']
-        rows[5, n] = now['work']
+        time = now['event_time'] if now['events'] else math.nan
+        rows[:, n] = time, now['event_velocity'], *now['loads'], now['work']
     return rows
 
 
@@ -405,7 +390,7 @@ def note_event(s: Record, events: Floats, time: float, height: float, velocity: 
 @subroutine
 def steps_until(s: Record, step: float, time: float) -> int:
     """Return the number of whole steps until a time, or an error code."""
-    if not s.time <= time < 4e15 * step:
+    if not s.state[TIME] <= time < 4e15 * step:
         return BAD_TIME
     steps = int(time / step)
     while steps * step > time:

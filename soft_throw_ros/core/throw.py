@@ -201,10 +201,7 @@ class Throw:
 
 
 def simulate(
-    rig: Rig,
-    *,
-    cells: int | None = None,
-    until: float | None = None,
+    rig: Rig, *, cells: int | None = None, until: float | None = None,
     cancelled: Cancelled | None = None,
 ) -> Throw:
     """
@@ -351,13 +348,8 @@ class Throws(NamedTuple):
 
 
 def throw_many(
-    rig: Rig,
-    changes: Changes | None = None,
-    *,
-    loads: bool = False,
-    cells: int | None = None,
-    threads: int | None = None,
-    cancelled: Cancelled | None = None,
+    rig: Rig, changes: Changes | None = None, *, loads: bool = False, cells: int | None = None,
+    threads: int | None = None, cancelled: Cancelled | None = None,
 ) -> Throws:
     """
     Compute the first releases of a rig, or of rigs with other values.

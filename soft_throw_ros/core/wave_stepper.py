@@ -65,27 +65,23 @@ MAX_STEPS = 8192
 MAX_STEP_RATE = 4e7
 """Most steps per second of rig time; a processor computes 4e8 steps per second. [1/s]"""
 
-_STEPS = 512
-"""Steps per crossing that later events need for 1e-3. [-]"""
+_STEPS, _FEWEST_STEPS = 512, 64
+"""Steps per crossing for 1e-3 at later events, and fewest for 1e-6 at the first release. [-]"""
 
-_FEWEST_STEPS = 64
-"""Fewest steps per crossing, for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_PERIOD = 160.0
-"""Fewest steps per period of the plate, for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_RELAXATION = 8.0
-"""Steps per relaxation time that the first release needs. [-]"""
+_STEPS_PER_PERIOD, _STEPS_PER_RELAXATION = 160.0, 8.0
+"""Fewest steps per period of the plate and per relaxation time, for the first release. [-]"""
 
 _STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
 
-
 _PAD = 8
 """Steps that are kept beyond those that are read, for the cubics. [-]"""
 
-_SPARE_STEPS = 1024
-"""Spare steps in the memory of waves, so that it is rarely moved. [-]"""
+_SPARE_STEPS = 1000
+"""
+Spare steps in the memory of waves, so that it is rarely moved. With 1024 the memory of a stepper
+and its fork may differ by whole pages, between which a copy takes ten times as long. [-]
+"""
 
 _STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
 """
@@ -233,44 +229,45 @@ def _shift(d, a, b, c, e):
 
 
 @subroutine
-def _free_flight(s, offset):
-    """Compute time since the launch, height and velocity of the projectile."""
-    time = (s.cell - s.launch_cell + (offset - s.launch_offset)) * s.step
-    height = s.launch_height + time * (s.launch_velocity - 0.5 * s.gravity * time)
-    return time, height, s.launch_velocity - s.gravity * time
-
-
-@subroutine
 def _rise(s, waves, d):
-    """Integrate p at the top from the start until d steps after `s.cell`, along lines [m]."""
+    """Integrate 2 p at the top from the start until d steps after `s.cell`, along lines [m]."""
     i = s.cell - s.base - s.steps
     here = waves[0, i]
-    return s.step * (s.sum + d * (here + 0.5 * d * (waves[0, i + 1] - here)))
+    return 2.0 * s.step * (s.sum + d * (here + 0.5 * d * (waves[0, i + 1] - here)))
 
 
 @subroutine
-def _excess(s, waves, d, cubic):
-    """Compute the scaled force, or the gap in flight, d steps after `s.cell`."""
+def _top_at(s, waves, d, begin, V, cubic):
+    """
+    Compute p, the projectile's velocity, heights of projectile and top, and force or gap.
+
+    They are those d steps after `s.cell`, where V and the cubic of p are those at `begin`. The
+    force is scaled, and counts from that of the release.
+    """
+    p, _, _, _ = _shift(d - begin, *cubic)
+    rise = _rise(s, waves, d)
     if s.contact:
-        p, _, _, _ = _shift(d, *cubic)
-        return 2.0 * p - _mass_velocity(s, d, s.velocity, *cubic) - s.release_threshold
-    time, height, _ = _free_flight(s, d)
-    return height - s.top - 2.0 * _rise(s, waves, d) - s.gravity_offset * time
+        V = _mass_velocity(s, d - begin, V, *cubic)
+        height = s.top + rise - s.relaxation * V
+        return p, V, height, height, 2.0 * p - V - s.release_threshold
+    time = (s.cell - s.launch_cell + (d - s.launch_offset)) * s.step
+    height = s.launch_height + time * (s.launch_velocity - 0.5 * s.gravity * time)
+    lift = s.gravity_offset * time
+    V = s.launch_velocity - s.gravity * time
+    return p, V, height, s.top + rise + lift, height - s.top - rise - lift
 
 
 @subroutine
 def _find_event(s, waves, cubic):
     """Return the offset of an event in the step, 2 if there is none."""
-    if not _excess(s, waves, 1.0, cubic) < 0.0:
+    p, V, _, _, excess = _top_at(s, waves, 1.0, 0.0, s.velocity, cubic)
+    gap_opens = not s.contact and 2.0 * p + s.gravity_offset <= V
+    if gap_opens or not excess < 0.0:
         return 2.0
-    if not s.contact:
-        i = s.cell + 1 - s.base - s.steps
-        if _free_flight(s, 1.0)[2] >= 2.0 * waves[0, i] + s.gravity_offset:  # the gap opens
-            return 2.0
     low, high = 0.0, 1.0
     for _ in range(54):  # bisect
         d = 0.5 * (low + high)
-        if _excess(s, waves, d, cubic) < 0.0:
+        if _top_at(s, waves, d, 0.0, s.velocity, cubic)[4] < 0.0:
             high = d
         else:
             low = d
@@ -280,16 +277,12 @@ def _find_event(s, waves, cubic):
 @subroutine
 def _change_contact(s, waves, events, d, cubic):
     """Release or land the projectile d steps after `s.cell`, and return its velocity."""
-    rise = 2.0 * _rise(s, waves, d)
-    _, height, V = _free_flight(s, d)
-    if s.contact:
-        V = _mass_velocity(s, d, s.velocity, *cubic)
-        height = s.top + rise - s.relaxation * V
-        if s.events == 0:
-            _compare_strains_at(s, waves, s.cell)
-            _write_work(s, d)
+    _, V, height, _, _ = _top_at(s, waves, d, 0.0, s.velocity, cubic)
+    if s.events == 0:
+        _compare_strains_at(s, waves, s.cell)
+        _write_work(s, d)
     stepper.note_event(s, events, (s.cell + d) * s.step, height, V)
-    s.top = height - rise
+    s.top = height - _rise(s, waves, d)
     if s.contact:
         s.top += s.relaxation * V
     else:
@@ -303,7 +296,8 @@ def _cross_step(s, waves, events, target):
     """
     Go through the step after `s.cell`, and an event in it, up to an offset of `target`.
 
-    Below 1 that leaves `s` there, with its state written; at 1 the step is done.
+    Below 1 that leaves `s` there, with the state of projectile and top written; at 1 the step is
+    done.
     """
     cubic = _expand(s, waves)
     begin, V, jump = 0.0, s.velocity, 0.0
@@ -313,15 +307,18 @@ def _cross_step(s, waves, events, target):
         cubic = _shift(event, *cubic)
         if s.contact:  # m jumps from p + g tau to V - p
             jump = V - 2.0 * cubic[0] - s.gravity_offset
-    if s.contact:
-        V = _mass_velocity(s, target - begin, V, *cubic)
+    p, V, height, surface, _ = _top_at(s, waves, target, begin, V, cubic)
     if target < 1.0:
-        p, _, _, _ = _shift(target - begin, *cubic)
-        _write_top(s, target, p, V, 2.0 * _rise(s, waves, target))
+        s.upward[1], s.surface = p, surface
+        s.downward[1] = V - p if s.contact else p + s.gravity_offset
+        force = s.impedance * (2.0 * p - V + s.gravity_offset)
+        s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
+        s.state[stepper.PROJECTILE_VELOCITY] = V
+        s.state[stepper.PROJECTILE_FORCE] = force if s.contact else 0.0
         return
     j = s.cell + 1 - s.base
     p = waves[0, j - s.steps]
-    s.sum = _rise(s, waves, 1.0) / s.step
+    s.sum = _rise(s, waves, 1.0) / (2.0 * s.step)
     s.cell += 1
     s.velocity = V if s.contact else 0.0
     waves[1, j] = V - p if s.contact else p + s.gravity_offset  # m = V - p, Sec. IV
@@ -333,20 +330,6 @@ def _cross_step(s, waves, events, target):
         s.peak_plate_stress = max(s.peak_plate_stress, abs(stress))
         s.power = stress * (p + m)
         s.power_sum += s.power
-
-
-@subroutine
-def _write_top(s, offset, p, V, rise):
-    """Write the state of projectile and top within a step."""
-    time, height, velocity = _free_flight(s, offset)
-    m, force, surface = p + s.gravity_offset, 0.0, s.top + rise + s.gravity_offset * time
-    if s.contact:
-        m, force, velocity = V - p, s.impedance * (2.0 * p - V + s.gravity_offset), V
-        surface = height = s.top + rise - s.relaxation * V
-    s.upward[1], s.downward[1], s.surface = p, m, surface
-    s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
-    s.state[stepper.PROJECTILE_VELOCITY] = velocity
-    s.state[stepper.PROJECTILE_FORCE] = force
 
 
 @subroutine
@@ -482,7 +465,6 @@ def _advance(core, waves, path, events, time):
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
     height, speed, _ = motion_at(s, path, time)
-    s.time = time
     s.upward[0] = speed - m
     s.downward[0] = m
     s.state[stepper.TIME] = time
@@ -592,11 +574,7 @@ class WaveStepper(Stepper):
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        *,
-        is_measured: bool = False,
-        steps: int | None = None,
+        self, rig: Rig, *, is_measured: bool = False, steps: int | None = None,
         field_points: int = 64,
     ) -> None:
         if rig.layer.needs_cells:
@@ -619,10 +597,7 @@ class WaveStepper(Stepper):
 
 
 def throw_batch(
-    values: Mapping[str, Floats],
-    *,
-    until: Floats,
-    cancelled: Cancelled | None = None,
+    values: Mapping[str, Floats], *, until: Floats, cancelled: Cancelled | None = None
 ) -> Floats:
     """
     Compute loads for `throw.throw_many`, without loss, unchecked.
@@ -646,10 +621,8 @@ def throw_batch(
         _prepare(core, *(column[n] for column in columns))
         return _make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
 
-    latest = until + crossing / steps
-    return stepper.follow_batch(
-        RECORD, _advance_compiled(), prepare_throw, values, latest, cancelled
-    )
+    latest, advance = until + crossing / steps, _advance_compiled()
+    return stepper.follow_batch(RECORD, advance, prepare_throw, values, latest, cancelled)
 
 
 def warm_up() -> None:

@@ -19,10 +19,6 @@ _FIELD_TYPE = re.compile(
     re.MULTILINE,
 )
 
-_PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'} | {
-    f'{sign}int{bits}' for sign in ('', 'u') for bits in (8, 16, 32, 64)
-}
-
 
 class SchemaError(ValueError):
     """A message type has no definition in the searched folders, which the message names."""
@@ -79,7 +75,8 @@ def installed_prefixes() -> list[str]:
 
 def _dependencies(text: str, package: str) -> list[str]:
     """List the types that fields have, as `package/Type`, in the order that rosbag2 takes."""
-    names = {name.replace('/msg/', '/') for name in _FIELD_TYPE.findall(text)} - _PRIMITIVES
+    names = {name.replace('/msg/', '/') for name in _FIELD_TYPE.findall(text)}
+    names -= {name for name in names if name.islower()}  # primitive types
     return sorted({name if '/' in name else f'{package}/{name}' for name in names})
 
 

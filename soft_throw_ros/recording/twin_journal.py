@@ -93,14 +93,15 @@ class TwinJournal:
         self.settings = settings
 
     def _start_throw(self, entry: journal.Entry) -> None:
-        onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
-        if onset is None:
+        if 'onset' in entry:
+            onset = journal.decode_onset(entry['onset'])
+            stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
+            rest_heights = onset.rest.plate, onset.rest.projectile
+        else:
             stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
+            clock_offset, rest_heights = self.clock_offset_ns, None
         self._take_effect(entry)
-        self.rest_heights = None
-        if onset is not None:
-            stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
-            self.rest_heights = onset.rest.plate, onset.rest.projectile
+        self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
 
 

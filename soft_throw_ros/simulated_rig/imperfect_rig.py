@@ -9,6 +9,7 @@ has a second mode.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 import math
 
@@ -59,22 +60,12 @@ class ImperfectThrow:
     """Events and paths of a simulated throw, as returned by `throw`."""
 
     rig: Rig
-    imperfections: Imperfections
     events: tuple[Event, ...]
     """Releases and contacts, alternating; times count from the start of the throw."""
-    _start: float
-    _time: Floats
-    _projectile: Floats
-
-    def plate(self, time: ArrayLike) -> Floats:
-        """Height of the plate [m]."""
-        return _plate(
-            self.rig, self.imperfections, np.asarray(time, dtype=np.float64), self._start
-        )
-
-    def projectile(self, time: ArrayLike) -> Floats:
-        """Height of the projectile's lower face above the plate's rest [m]."""
-        return np.interp(np.asarray(time, dtype=np.float64), self._time, self._projectile)
+    plate: Callable[[ArrayLike], Floats]
+    """Height of the plate at any time [m]."""
+    projectile: Callable[[ArrayLike], Floats]
+    """Height of the projectile's lower face above the plate's rest [m]."""
 
 
 def throw(
@@ -106,11 +97,9 @@ def throw(
         path[n] = stepper.state[PROJECTILE_POSITION]
     return ImperfectThrow(
         rig=rig,
-        imperfections=imperfections,
         events=tuple(event._replace(time=event.time + begin) for event in stepper.events()),
-        _start=start,
-        _time=times,
-        _projectile=path,
+        plate=lambda time: _plate(rig, imperfections, np.asarray(time, np.float64), start),
+        projectile=lambda time: np.interp(np.asarray(time, np.float64), times, path),
     )
 
 
@@ -141,21 +130,15 @@ class Deviations:
         fade_in = np.clip((time - start) / _LEAD_IN, 0.0, 1.0) if imperfections.ringing else 1.0
         plate = imperfect.plate(time) - perfect.plate(time)
         projectile = imperfect.projectile(time) - perfect.projectile(time)
-        rows = np.stack([plate, projectile], axis=1) * (fade_in * fade_out)[:, None]
-        self._rows: list[list[float]] = rows.tolist()
+        self._time, self._columns = time, fade_in * fade_out * np.stack([plate, projectile])
 
     def at(self, since: float) -> tuple[float, float]:
         """Return the deviations of plate and projectile [m], at a time since the start [s]."""
-        position = (since - self.start) / _STEP
-        row = math.floor(position)
-        if not 0 <= row < len(self._rows) - 1:
-            return 0.0, 0.0
-        weight = position - row
-        (plate, projectile), (next_plate, next_projectile) = self._rows[row:row + 2]
-        return (
-            plate + weight * (next_plate - plate),
-            projectile + weight * (next_projectile - projectile),
+        plate, projectile = (
+            float(np.interp(since, self._time, column, left=0.0, right=0.0))
+            for column in self._columns
         )
+        return plate, projectile
 
 
 def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -> Floats:

@@ -196,7 +196,7 @@ def decode(message: Message) -> Any:
     """
     Read a message of any type; return its fields as a SimpleNamespace.
 
-    MessageError is raised if the bytes are no such message, or the definition is none.
+    MessageError is raised if the bytes are no such message, or its definition is none.
     """
     channel = message.channel
     try:
@@ -213,11 +213,8 @@ def _decoder_of(type_name: str, schema: str) -> Callable[[bytes], Any]:
     from mcap_ros2.decoder import DecoderFactory
 
     definition = Schema(id=1, name=type_name, encoding=SchemaEncoding.ROS2, data=schema.encode())
-    try:
-        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # it would print
-            decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
-    except Exception as error:  # damage may cause any error
-        raise MessageError(f'no definition of {type_name}: {error!r:.100}') from error
+    with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):  # it would print
+        decoder = DecoderFactory().decoder_for(MessageEncoding.CDR, definition)
     if decoder is None:
         raise MessageError(f'no definition of {type_name}: {schema[:60]!r}')
     return decoder

@@ -10,11 +10,12 @@ which it happened:
 kind          further keys
 ============= ================================================================================
 start         `settings`, `versions`, `motions` (of files, by their paths); it begins, at rest
-throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`;
-              a throw starts, and if the plate is measured, `onset`: how that was seen
+throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`, the
+              fields of a `TickSchedule`, by which steps are due; a throw starts, and if the plate
+              is measured, `onset`: how that was seen
 samples       `count` and `data`, see `encode_samples`: taken before this step, or others
 input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
-tick_schedule `anchor_step`, `anchor_time_ns`, `rate`: from `step` on, steps are due by this
+tick_schedule `schedule`: from `step` on, steps are due by this
 result        `result`: the values of a `ThrowResult`, where None is infinite
 checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
               `step`, for at most a second, and from the start of a throw on
@@ -29,7 +30,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
 import json
 import math
 from operator import index
@@ -77,9 +77,6 @@ _LONGEST_DATA = 1 << 24
 
 _FARTHEST = 2**62
 """Largest magnitude of a step [-], and of a time [ns]."""
-
-_SCHEDULE = ('anchor_step', 'anchor_time_ns', 'rate')
-"""Keys of the fields of a `TickSchedule`."""
 
 _SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
@@ -132,18 +129,14 @@ def motion_source(entry: Entry) -> motions.MotionSource:
     return motion_of
 
 
-def encode_schedule(schedule: TickSchedule) -> dict[str, int | float]:
-    """Encode a schedule for an entry."""
-    return dict(zip(_SCHEDULE, astuple(schedule), strict=True))
-
-
-def decode_schedule(values: Entry) -> TickSchedule:
-    """Decode a schedule from the values of an entry."""
-    with _reading('schedule of ticks', values):
-        step, time_ns, rate = (values[name] for name in _SCHEDULE)
-        if max(abs(index(step)), abs(index(time_ns))) > _FARTHEST or not 1e-3 <= rate <= 1e9:
+def decode_schedule(entry: Entry) -> TickSchedule:
+    """Decode the schedule of an entry."""
+    with _reading('schedule of ticks', dict(entry)):
+        schedule = TickSchedule(**entry['schedule'])
+        farthest = max(abs(index(schedule.step)), abs(index(schedule.time_ns)))
+        if farthest > _FARTHEST or not 1e-3 <= schedule.rate <= 1e9:
             raise ValueError('out of range')
-        return TickSchedule(step, time_ns, rate)
+        return schedule
 
 
 def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
@@ -153,11 +146,14 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
     each, little endian, compressed by zlib, in base 64.
     """
-    parts = [np.zeros(len(samples), _SAMPLE) for _, samples in batches]
-    for rows, (step, samples) in zip(parts, batches, strict=True):
-        rows['step'], rows['stamp_ns'], rows['heights'] = step, samples.stamps, samples.heights
-    content = zlib.compress(b''.join(rows.tobytes() for rows in parts), 1)
-    return {'count': sum(map(len, parts)), 'data': base64.b64encode(content).decode()}
+    sizes = [len(samples) for _, samples in batches]
+    rows = np.empty(sum(sizes), _SAMPLE)
+    if batches:
+        rows['step'] = np.repeat([step for step, _ in batches], sizes)
+        rows['stamp_ns'] = np.concatenate([samples.stamps for _, samples in batches])
+        rows['heights'] = np.concatenate([samples.heights for _, samples in batches])
+    content = zlib.compress(rows.tobytes(), 1)
+    return {'count': len(rows), 'data': base64.b64encode(content).decode()}
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
@@ -198,15 +194,6 @@ def decode_onset(values: Entry) -> Onset:
         )
 
 
-@dataclass
-class _Checksum:
-    """CRC-32 of the states, and of the fields of the layer, since the step `first`."""
-
-    first: int
-    states: int = 0
-    fields: int = 0
-
-
 class JournalWriter:
     """
     A writer of the journal of a session: numbered entries, batches of samples, and checksums.
@@ -220,7 +207,7 @@ class JournalWriter:
         self._line = 0
         self._batches: list[tuple[int, Samples]] = []
         self._last_flush_step = step
-        self._checksum = _Checksum(step)
+        self._begin_checksum(step)
 
     def write(self, kind: str, step: int, **values: object) -> None:
         """Write an entry, without `motions` if there are none."""
@@ -251,13 +238,13 @@ class JournalWriter:
     def end_step(self, outputs: Outputs, *, rate: float, is_measured: bool) -> None:
         """Add the outputs of a step to the checksum, and write the entries that are due."""
         checksum = self._checksum
-        checksum.states = crc32(STATE.pack(*outputs.state), checksum.states)
+        checksum['states'] = crc32(STATE.pack(*outputs.state), checksum['states'])
         for array in outputs.layer or ():
-            checksum.fields = crc32(array.data, checksum.fields)
+            checksum['fields'] = crc32(array.data, checksum['fields'])
         following = outputs.step + 1
         if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
             self._flush(following)  # also without samples, as a sign of life
-        if following - checksum.first >= CHECKSUM_TIME * rate:
+        if following - checksum['first'] >= CHECKSUM_TIME * rate:
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -268,9 +255,13 @@ class JournalWriter:
 
     def _write_checksum(self, step: int) -> None:
         """Write the checksum of the steps before `step`, if any, and begin the next."""
-        if step > self._checksum.first:
-            self.write('checksum', step, **vars(self._checksum))
-        self._checksum = _Checksum(step)
+        if step > self._checksum['first']:
+            self.write('checksum', step, **self._checksum)
+        self._begin_checksum(step)
+
+    def _begin_checksum(self, step: int) -> None:
+        """Begin the checksum of states and fields from a step on."""
+        self._checksum = {'first': step, 'states': 0, 'fields': 0}
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""

@@ -13,15 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable
 import dataclasses
 import math
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
-from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
+    state_of,
     stepper_of,
     THROW_FIELD_LENGTH,
     throw_field_of,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from soft_throw_ros.twin.session import Session
 
 Floats = NDArray[np.float64]
+Path: TypeAlias = tuple[Floats, Floats]  # times and states of the plate
 
 _PREDICTION_ERROR = 0.03
 """Largest relative standard error of the ejection speed in the first prediction. [-]"""
@@ -78,17 +80,20 @@ class MeasuredThrow(OngoingThrow):
     def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
         prepared, config = session.prepared, buffer.config
         assert prepared.fork is not None
-        assert prepared.release_weights is not None
+        assert prepared.release_response is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
         self._fork = prepared.fork
         self._onset, self._buffer = onset, buffer
-        self._observer = PlateObserver(config, onset, prepared.release_weights)
-        self._settled = [(np.empty(0), np.empty((0, 3)))]  # times and states of the plate
-        self._path = self._settled[0]  # after these, with the continuation
+        self._observer = PlateObserver(config, onset, prepared.release_response)
+        self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
+        self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
-        self._compared_ns = onset.onset_ns  # until when the projectile has been compared [ns]
+        self._period = 1.0 / config.plate.frequency  # of the plate [s]
+        self._peak_by = 1.1 * config.motion.peak_velocity_time  # has its largest speed [s]
+        self._compared = 0.0  # until when the projectile has been compared [s]
         self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
+        self._is_certain = False  # the plate cannot change the release any more
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
         self._last_due_ns = 0  # time of the last step [ns]
@@ -100,15 +105,10 @@ class MeasuredThrow(OngoingThrow):
         self._move_fork(self._now)
         return layer_of(self._fork)
 
-    @property
-    def _is_certain(self) -> bool:
-        """Whether the plate cannot change the release any more."""
-        return self._accuracy is not None and self._accuracy.is_certain
-
-    def _advance(self) -> Outputs:
+    def _advance(self, outputs: Outputs) -> None:
         """Advance as far as the plate is known, and predict from there."""
-        session, buffer, observer, fork = self.session, self._buffer, self._observer, self._fork
-        due_ns, crossing = session.due_ns(session.step), self._prepared.rig.crossing_time
+        buffer, observer, fork = self._buffer, self._observer, self._fork
+        due_ns, crossing = self.session.due_ns(outputs.step), self._prepared.rig.crossing_time
         if buffer.gap > crossing or due_ns - buffer.newest_ns > LOST:
             self.ended_by = 'gap'
         else:
@@ -124,7 +124,7 @@ class MeasuredThrow(OngoingThrow):
         release_by = self._prepared.latest_release if self._lead is None else 0.0
         self._move_plate(max(now, known, release_by))
         horizon = self._stepper.horizon
-        events, residual = self._follow_plate(horizon)
+        outputs.events, outputs.residual = self._follow_plate(horizon)
         self._now, ahead = max(now, horizon), max(known, horizon)
         fork.sync_from(self._stepper, *self._path)
         states = {time: self._move_fork(time) for time in sorted((self._now, ahead))}
@@ -134,20 +134,13 @@ class MeasuredThrow(OngoingThrow):
             if fork.event_count:
                 self._predict(fork.events()[0], known, due_ns)
         if self.ended_by == 'noise':
-            self.events, events = [], ()
-        state, stamp_ns = states[ahead], self.start_ns + round(ahead * SECOND)
-        return Outputs(
-            session.step,
-            self.number,
-            states[self._now],
-            events=events,
-            prediction=PredictedState(
-                stamp_ns,
-                state.projectile_position,
-                state.projectile_velocity,
-                state.projectile_force,
-            ),
-            residual=residual,
+            self.events, outputs.events = [], []
+        outputs.state, state = states[self._now], states[ahead]
+        outputs.prediction = PredictedState(
+            self.start_ns + round(ahead * SECOND),
+            state.projectile_position,
+            state.projectile_velocity,
+            state.projectile_force,
         )
 
     def _move_plate(self, until: float) -> None:
@@ -157,29 +150,30 @@ class MeasuredThrow(OngoingThrow):
         if settled:
             times, states = times[:settled], states[:settled]
             self._stepper.append_plate_states(times, states)
-            if not self._has_shown_field or times[0] < self._latest_peak(None):
-                self._settled.append((times, states))
+            if not self._has_shown_field:
+                self._settled = _joined(self._settled, (times, states))
 
     def _move_fork(self, time: float) -> State:
         """Advance the fork to a time, along the latest states of the plate."""
         self._try_to_advance(self._fork, time)
-        return State._make(self._fork.state.tolist()[1:])
+        return state_of(self._fork)
 
     def _event_ns(self, event: Event) -> int:
         """Return the time of an event by the stamps of the samples [ns]."""
         return self.start_ns + round(event.time * SECOND)
 
-    def _follow_plate(self, known: float) -> tuple[tuple[Event, ...], Residual | None]:
+    def _follow_plate(self, known: float) -> tuple[list[Event], Residual | None]:
         """
         Advance as far as the plate is known, and compare with samples of the projectile.
 
         They are compared until a period of the plate after the release.
         """
-        rest, stepper, begin_ns = self._onset.rest, self._stepper, self._compared_ns
-        if self.first_release and begin_ns > self._event_ns(self.first_release) + self._period_ns:
+        rest, stepper, begin = self._onset.rest, self._stepper, self._compared
+        if self.events and begin > self.events[0].time + self._period:
             return self._go_to(known)[1], None
-        self._compared_ns = self.start_ns + math.floor(known * SECOND)
-        samples = self._buffer.between(begin_ns + 1, self._compared_ns + 1)
+        self._compared = known
+        begin_ns, end_ns = (self.start_ns + math.floor(t * SECOND) + 1 for t in (begin, known))
+        samples = self._buffer.between(begin_ns, end_ns)
         samples = samples[np.isfinite(samples.projectile)]
         times = samples.seconds_since(self.start_ns)
         modelled = np.empty((len(samples), 2))
@@ -194,82 +188,63 @@ class MeasuredThrow(OngoingThrow):
         self._differences.append(np.stack((times, differences[:, 1])))
         return events, Residual(int(samples.stamps[-1]), *differences[-1].tolist())
 
-    @property
-    def _period_ns(self) -> float:
-        """Period of the plate [ns]."""
-        return SECOND / self._prepared.rig.engine.frequency
-
     def _predict(self, release: Event, known: float, due_ns: int) -> None:
         """Report the release when it is first known well enough, and when it is certain."""
-        accuracy = self._assess_accuracy(release, is_certain=release.time <= known)
-        error = accuracy.ejection_speed_error / abs(release.velocity)
-        if accuracy.is_certain and error > _NOISY:
+        self._is_certain = release.time <= known
+        relative_error = self._observer.errors()[0] / abs(release.velocity)
+        if self._is_certain and relative_error > _NOISY:
             self.ended_by = 'noise'
-        elif accuracy.is_certain or (self._lead is None and error <= _PREDICTION_ERROR):
-            self._accuracy = accuracy
+        elif self._is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
             lead = release.time - (due_ns - self.start_ns) / SECOND
+            result = self._result('predicted', self._fork)
+            self.session.report(dataclasses.replace(result, lead=lead))
             self._lead = lead if self._lead is None else self._lead
-            result = self._result_of('predicted', self._fork, [release])
-            self.session.report(self._with_measurement(result, lead))
-
-    def _latest_peak(self, release: Event | None) -> float:
-        """Return the time until which the plate has its peak speed: until the release too [s]."""
-        peak_time = 1.1 * self._buffer.config.motion.peak_velocity_time
-        return max(peak_time, release.time if release else 0.0)
 
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
-        times, states = self._plate(self._path)
-        is_early = times <= self._latest_peak(release)
+        times, states = _joined(self._settled, self._path)
+        is_early = times <= max(self._peak_by, release.time if release else 0.0)
         fastest = peak_speed(times[is_early], states[is_early])
         return max(fastest, self._buffer.config.start_speed)
 
-    def _plate(self, *more: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-        """Return times and states of the plate that are settled, and more."""
-        times, states = zip(*self._settled, *more, strict=True)
-        return np.concatenate(times), np.concatenate(states)
-
-    def _assess_accuracy(self, release: Event, *, is_certain: bool) -> Accuracy:
+    def _assess_accuracy(self, speed: float, peak_speed: float) -> Accuracy:
         """Return the accuracy of a release."""
-        buffer, peak_speed = self._buffer, self._peak_plate_speed(release)
-        time, speed, energy_transfer = self._observer.errors(release.velocity, peak_speed)
+        buffer = self._buffer
+        speed_error, time_error, peak_error = self._observer.errors()
+        # errors of both speeds count as independent: another motion than expected makes them so
+        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
         return Accuracy(
-            is_certain=is_certain,
-            release_time_error=time,
-            ejection_speed_error=speed,
-            energy_transfer_error=energy_transfer,
+            is_certain=self._is_certain,
+            release_time_error=time_error,
+            ejection_speed_error=speed_error,
+            energy_transfer_error=relative_error * (speed / peak_speed) ** 2,
             samples=len(buffer.between(self.start_ns)) + buffer.outliers,
             samples_left_out=buffer.outliers,
         )
 
-    def _result(self, stage: str) -> ThrowResult:
+    def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
         """Return the result so far, with its accuracy and the faults of the measurement."""
-        release = self.first_release
-        if stage == 'release' and release is not None:
-            self._accuracy = self._assess_accuracy(release, is_certain=self._is_certain)
-        result = super()._result(stage)
-        return self._with_measurement(result, self._lead, comparison=self._compare())
-
-    def _with_measurement(
-        self, result: ThrowResult, lead: float | None, *, comparison: Comparison | None = None
-    ) -> ThrowResult:
-        """Add the faults of the measurement until now, and to a valid result its accuracy."""
+        known: dict[str, Any] = {}
+        result = super()._result(stage, fork)
+        if result.first and stage != 'final':
+            self._accuracy = self._assess_accuracy(
+                result.first.ejection_speed, result.peak_plate_speed
+            )
+        if result.is_valid:
+            comparison = None if fork else self._compare()
+            known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
         disturbances = Disturbances(
             clock_offset_ns=self._onset.clock_offset_ns,
             samples_missing=self._buffer.missing_since(self.start_ns),
             time_skipped=self._time_skipped,
         )
-        known: dict[str, Any] = {}
-        if result.is_valid:
-            known = {'lead': lead, 'accuracy': self._accuracy, 'comparison': comparison}
         return dataclasses.replace(result, disturbances=disturbances, **known)
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""
         times, differences = np.concatenate(self._differences, axis=1)
-        longest = self._period_ns / SECOND
         release, landing, *_ = [*(event.time for event in self.events), math.inf, math.inf]
-        counted = differences[times <= release + longest]
+        counted = differences[times <= release + self._period]
         if not counted.size:
             return None
         comparison = Comparison(
@@ -280,7 +255,7 @@ class MeasuredThrow(OngoingThrow):
         )
         is_flying = (times > release) & (times < landing)
         times, differences = times[is_flying] - release, differences[is_flying]
-        if times.size < FEWEST_IN_FLIGHT or times[-1] < 0.5 * longest:
+        if times.size < FEWEST_IN_FLIGHT or times[-1] < 0.5 * self._period:
             return comparison
         # model and projectile fly freely, so that the residual is linear in time
         slope, offset = np.polyfit(times, differences, 1).tolist()
@@ -293,14 +268,14 @@ class MeasuredThrow(OngoingThrow):
 
     def _throw_field(self) -> Callable[[], ThrowField] | None:
         """Return the layer over time once, when the plate is known for long enough or lost."""
-        release, known = self.first_release, self._stepper.horizon
+        release, known = self.events[0] if self.events else None, self._stepper.horizon
         if self._has_shown_field or known <= 0.0 or not (release or self.ended_by):
             return None  # the throw may end before the plate is known
         length = THROW_FIELD_LENGTH * release.time if release else known
-        if length > known and not self.ended_by:
+        if max(length, self._peak_by) > known and not self.ended_by:
             return None
         self._has_shown_field = True
-        config, (times, states), start_ns = self._prepared.config, self._plate(), self.start_ns
+        config, (times, states), start_ns = self._prepared.config, self._settled, self.start_ns
 
         def throw_field() -> ThrowField:
             stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
@@ -308,6 +283,11 @@ class MeasuredThrow(OngoingThrow):
             return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
 
         return throw_field
+
+
+def _joined(first: Path, second: Path) -> Path:
+    """Return both parts of a path."""
+    return np.concatenate((first[0], second[0])), np.concatenate((first[1], second[1]))
 
 
 def peak_speed(times: Floats, states: Floats) -> float:

@@ -9,13 +9,14 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
-from soft_throw_ros.twin.outlier_filter import MEDIAN_DEVIATION, OUTLIER_SIGMAS
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sample_buffer import (
     FEWEST,
     LONG_AGO,
+    MEDIAN_DEVIATION,
     Onset,
+    OUTLIER_SIGMAS,
     RestBaseline,
     SampleBuffer,
     SampleCounts,
@@ -248,20 +249,6 @@ def longest_rise(config: MeasurementConfig) -> float:
     return max(RISE / config.plate.frequency, 2.0 * config.rise_time)
 
 
-def rest_of(samples: Samples, noise: float) -> RestBaseline:
-    """Return the rest by samples, whose noise [m] is at least as large as is stated."""
-    plate, projectile = samples.plate, samples.projectile
-    measured = projectile[np.isfinite(projectile)]
-    # rounded samples at rest are all the same, so that their scatter underestimates the noise
-    noise = max(noise, float(plate.std()))
-    return RestBaseline(
-        plate=float(plate.mean()),
-        projectile=float(measured.mean()) if measured.size else math.nan,
-        noise=noise,
-        error=noise / math.sqrt(plate.size),
-    )
-
-
 def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     """Find the start of a plate that was fast at `begun_ns`, if its motion is that of a start."""
     config, end_ns = buffer.config, buffer.complete_ns + 1
@@ -271,7 +258,15 @@ def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     samples = buffer.between(first_ns, end_ns)
     if min(len(before), len(samples)) < FEWEST:
         return None
-    rest = rest_of(before, config.position_noise)
+    # rounded samples at rest are all the same, so that their scatter underestimates the noise
+    noise = max(config.position_noise, float(before.plate.std()))
+    projectile = before.projectile[np.isfinite(before.projectile)]
+    rest = RestBaseline(
+        plate=float(before.plate.mean()),
+        projectile=float(projectile.mean()) if projectile.size else math.nan,
+        noise=noise,
+        error=noise / math.sqrt(len(before)),
+    )
     # a slow engine moves for many samples; a subset suffices
     stride = math.ceil(len(samples) / _MOST_FOR_START)
     thinned = samples[(len(samples) - 1) % stride::stride]

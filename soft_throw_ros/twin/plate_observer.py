@@ -16,9 +16,9 @@ With a commanded motion they are differences from it, and :math:`\zeta`, :math:`
 are smoothed in the form of Bryson and Frazier [1]_, which needs no inverse matrix. Ahead of the
 samples the filter predicts, which continues the motion.
 
-The speed and the time of the release and the largest speed of the plate depend linearly on the
-velocity of the plate. These three integrals are states of the filter too, so that their errors
-are those of the whole path, with all correlations.
+The speed and the time of the release and the largest speed of the plate depend linearly on
+:math:`q`, by `ReleaseResponse`. The covariances of their expected values with the state follow
+from it, so that their errors are those of the whole path, with all correlations.
 
 A stamp with the error :math:`\sigma_t` displaces a height by :math:`\dot z \sigma_t`, which adds
 to the noise. A height counts as at most six standard errors off.
@@ -39,9 +39,8 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel, Record, subroutine
-from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.outlier_filter import OUTLIER_SIGMAS
-from soft_throw_ros.twin.sample_buffer import Onset, Samples
+from soft_throw_ros.core.plate import PlateMotion, Underdamped
+from soft_throw_ros.twin.sample_buffer import Onset, OUTLIER_SIGMAS, Samples
 
 Floats = NDArray[np.float64]
 
@@ -58,8 +57,6 @@ _SETTLED = 0.5
 """Age at which a smoothed state does not change any more, over the smoothing window. [-]"""
 _SPACING = 0.125
 """Time between states of the plate, over the smoothing window. [-]"""
-_COARSE = 4
-"""Weights of the release that the prediction of its errors passes in a step. [-]"""
 _AVERAGED = 16
 """Innovations whose mean square shows that more than the stated noise acts. [-]"""
 _FIRST_RATIO = 0.5
@@ -68,18 +65,15 @@ _FIRST_RATIO = 0.5
 _CAPACITY = 128
 """Steps of the filter that a new observer can store; it grows. [-]"""
 
-_STATES = 6
-"""Height, velocity, amplitude, and the three integrals."""
-
 _MEMORY = np.dtype(
     [
         ('omega', 'f8'),  # of Eq. (D1) [1/s]
         ('zeta', 'f8'),
-        ('amplitude', 'f8'),  # expected [m]
         ('unmodelled', 'f8'),  # spectral density of q [m2/s3]
         ('time', 'f8'),  # since the start [s]
         ('state', 'f8', (3,)),
-        ('covariance', 'f8', (_STATES, _STATES)),
+        ('covariance', 'f8', (3, 6)),  # of the state with itself, and with the release
+        ('release', 'f8', (3,)),  # variances of the expected release
         ('steps', 'i8'),  # of the filter since the last settled state
         ('settled', 'f8'),  # time of this state [s]
         ('ratio', 'f8'),  # mean square of normalised innovations [-]
@@ -100,17 +94,23 @@ STEP = np.dtype(
 """Record of a step of the filter, for the smoother."""
 
 
-class ReleaseWeights(NamedTuple):
-    """
-    Weights of the velocity of the plate in a release.
-
-    A change of the velocity v by dv changes the speed of the release [m/s], its time [s] and the
-    peak speed [m/s] by the integrals of -dv dw over time, where w are the rows of `weights`.
-    """
+class ReleaseResponse(NamedTuple):
+    """Changes of a throw by a change of the velocity of the plate by 1 m/s at a time."""
 
     times: Floats  # since the start, shape (n,) [s]
-    weights: Floats  # shape (3, n)
+    changes: Floats  # of speed [m/s] and time [s] of the release, and peak speed [m/s]; (3, n)
     release_time: float  # expected, 0 for none [s]
+
+
+def pulse_of(motion: PlateMotion, since: Floats) -> Floats:
+    """Return the states of a plate at times after a change of its velocity by 1 m/s."""
+    if not isinstance(motion, Underdamped):
+        return np.stack((since, np.ones(since.size), np.zeros(since.size)), axis=-1)
+    omega = motion.angular_frequency
+    # the velocity after a step of the force is the height after a pulse
+    _, height, velocity = motion.states_at(since).T / (motion.amplitude * omega**2)
+    acceleration = -omega * (omega * height + 2.0 * motion.damping_ratio * velocity)
+    return np.stack((height, velocity, acceleration), axis=-1)
 
 
 @subroutine
@@ -126,44 +126,31 @@ def _transition(s: Record, h: float, f: Floats) -> None:
 
 
 @subroutine
-def _predict(s: Record, time: float, axis: Floats, weights: Floats) -> None:
+def _predict(s: Record, time: float, axis: Floats, changes: Floats) -> None:
     """Go on to a later time."""
-    h = time - s.time
-    f, g, m = np.eye(_STATES), np.eye(_STATES), np.zeros((_STATES, _STATES))
-    _transition(s, h, f)
-    for n in range(3):  # integrals by the trapezoid rule
-        w = weights[n]
-        weight = 0.5 * (np.interp(s.time, axis, w) - np.interp(time, axis, w))
-        for i in range(3):
-            f[3 + n, i] = weight * f[1, i]
-        f[3 + n, 1] += weight
-        g[3 + n, 1] = weight
-    m[0, 0], m[0, 1], m[1, 1] = h * h * h / 3.0, 0.5 * h * h, h
-    m[1, 0] = m[0, 1]
-    density = s.unmodelled * max(1.0, s.ratio) ** 2
-    s.covariance[:] = _sandwich(f, s.covariance) + density * _sandwich(g, m)
+    h, middle = time - s.time, 0.5 * (s.time + time)
+    f, p, moved = np.zeros((3, 3)), s.covariance, np.zeros((3, 6))
     x0, x1, x2 = s.state[0], s.state[1], s.state[2]
+    _transition(s, h, f)
     for i in range(3):
         s.state[i] = f[i, 0] * x0 + f[i, 1] * x1 + f[i, 2] * x2
+        for j in range(6):
+            moved[i, j] = f[i, 0] * p[0, j] + f[i, 1] * p[1, j] + f[i, 2] * p[2, j]
+    for i in range(3):
+        for j in range(3):
+            p[i, j] = moved[i, 0] * f[j, 0] + moved[i, 1] * f[j, 1] + moved[i, 2] * f[j, 2]
+            p[i, 3 + j] = moved[i, 3 + j]
+    velocity = h * s.unmodelled * max(1.0, s.ratio) ** 2  # its variance by q
+    p[0, 0] += h * h / 3.0 * velocity
+    p[0, 1] += 0.5 * h * velocity
+    p[1, 0] += 0.5 * h * velocity
+    p[1, 1] += velocity
+    for n in range(3):
+        change = np.interp(middle, axis, changes[n])
+        p[0, 3 + n] += 0.5 * h * velocity * change
+        p[1, 3 + n] += velocity * change
+        s.release[n] += velocity * change * change
     s.time = time
-
-
-@subroutine
-def _sandwich(f: Floats, p: Floats) -> Floats:
-    """Return f p f^T; loops, because the last bits of a library depend on the alignment."""
-    size = f.shape[0]
-    half, out = np.zeros((size, size)), np.zeros((size, size))
-    for i in range(size):
-        for k in range(size):
-            if f[i, k] != 0.0:
-                for j in range(size):
-                    half[i, j] += f[i, k] * p[k, j]
-    for i in range(size):
-        for k in range(size):
-            if f[i, k] != 0.0:
-                for j in range(size):
-                    out[j, i] += half[j, k] * f[i, k]
-    return out
 
 
 @kernel
@@ -174,18 +161,16 @@ def _filter(
     errors: Floats,
     stamp_error: float,
     axis: Floats,
-    weights: Floats,
+    changes: Floats,
     steps: NDArray[np.void],
 ) -> None:
     """Go on to each time, and take the measured height there, unless it is NaN."""
-    s, f = memory[0], np.zeros((3, 3))
+    s = memory[0]
     for n in range(times.size):
-        _predict(s, times[n], axis, weights)
+        _predict(s, times[n], axis, changes)
         p, step = s.covariance, steps[s.steps]
         s.steps += 1
-        _transition(s, s.time, f)  # from the rest, which gives the expected speed
-        noise = errors[n] ** 2 + (f[1, 2] * s.amplitude * stamp_error) ** 2
-        variance = p[0, 0] + noise
+        variance = p[0, 0] + errors[n] ** 2 + (s.state[1] * stamp_error) ** 2
         most = OUTLIER_SIGMAS * math.sqrt(variance)
         error = min(max(heights[n] - s.state[0], -most), most)
         step.time, step.pull = times[n], 0.0
@@ -193,12 +178,12 @@ def _filter(
         if np.isnan(heights[n]):
             continue
         step.pull = error / variance
-        gain = p[:, 0] / variance
+        gain = p[0] / variance
         step.gain[:] = gain[:3]
         for i in range(3):
             s.state[i] += gain[i] * error
-        for i in range(_STATES):
-            for j in range(_STATES):
+            s.release[i] -= gain[3 + i] ** 2 * variance
+            for j in range(6):
                 p[i, j] -= gain[i] * gain[j] * variance
         s.ratio += (error * step.pull - s.ratio) / _AVERAGED
 
@@ -272,6 +257,12 @@ def _smooth(s: Record, steps: NDArray[np.void]) -> Floats:
     return states
 
 
+def _integrals_from(times: Floats, rows: Floats) -> Floats:
+    """Return the integrals of rows over time from each time to the last."""
+    strips = 0.5 * np.diff(times, append=times[-1]) * (rows + np.roll(rows, -1, axis=1))
+    return np.flip(np.flip(strips, axis=1).cumsum(axis=1), axis=1)
+
+
 class PlateObserver:
     """
     The plate in a throw from its onset on, see the module.
@@ -281,31 +272,35 @@ class PlateObserver:
     """
 
     def __init__(
-        self, config: MeasurementConfig, onset: Onset, weights: ReleaseWeights
+        self, config: MeasurementConfig, onset: Onset, response: ReleaseResponse
     ) -> None:
         plate = config.plate
-        self._config, self._onset, self._weights = config, onset, weights
+        self._config, self._onset, self._response = config, onset, response
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
-        omega = 2.0 * math.pi * plate.frequency
-        speed, swing = plate.peak_velocity, plate.amplitude * omega
+        omega, swing = plate.angular_frequency, plate.amplitude * plate.angular_frequency
         is_engine = isinstance(config.motion, Underdamped)
         self._command = None if is_engine else config.motion
         unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
-        relative = (
-            unmodelled,
-            2.0 * config.frequency_error / plate.frequency,
-            2.0 * config.damping_error,
-        )
+        stiffness, damping = config.frequency_error / plate.frequency, config.damping_error
+        relative = math.hypot(unmodelled, 2.0 * stiffness, 2.0 * damping)
         self._memory = memory = np.zeros(1, _MEMORY)
         if is_engine:
             memory['omega'], memory['zeta'] = omega, plate.damping_ratio
-            memory['amplitude'] = memory['state'][0, 2] = plate.amplitude
-        memory['unmodelled'] = math.hypot(*relative) ** 2 * speed**2 * omega
+            memory['state'][0, 2] = plate.amplitude
+        memory['unmodelled'] = (relative * plate.peak_velocity) ** 2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
-        memory['covariance'][0][range(3), range(3)] = np.square(
+        variances = np.square(
             [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
         )
+        times, changes, _ = response
+        # variances of the release by later accelerations, over their density
+        self._later = _integrals_from(times, changes**2)
+        # by height, velocity and amplitude at the start: (D1) has the difference of two of them
+        by_amplitude = memory['omega'] ** 2 * _integrals_from(times, changes)[:, 0]
+        by_state = np.stack((-by_amplitude, changes[:, 0], by_amplitude))
+        memory['covariance'] = np.hstack((np.diag(variances), variances[:, None] * by_state))
+        memory['release'] = variances @ by_state**2
         self._present = memory[0]
         self._steps = np.zeros(_CAPACITY, STEP)
         self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
@@ -333,14 +328,14 @@ class PlateObserver:
     def _filter(
         self, times: Floats, heights: Floats, errors: Floats, stamp_error: float
     ) -> None:
-        steps, weights = self._steps, self._weights
+        steps, response = self._steps, self._response
         used = int(self._present['steps'])
         if used + times.size > steps.size:
             self._steps = np.zeros(2 * (used + times.size), STEP)
             self._steps[:used] = steps[:used]
         _filter(
             self._memory, times, heights, errors, stamp_error,
-            weights.times, weights.weights, self._steps,
+            response.times, response.changes, self._steps,
         )
 
     def motion(self, until: float) -> tuple[Floats, Floats, int]:
@@ -366,23 +361,19 @@ class PlateObserver:
             states[0, 1] = max(states[0, 1], 0.0)
         return times, states, settled
 
-    def errors(self, speed: float, peak_speed: float) -> tuple[float, float, float]:
+    def errors(self) -> tuple[float, float, float]:
         """
-        Return the standard errors of time [s], speed [m/s] and energy transfer [-] of a release.
+        Return the standard errors of speed [m/s] and time [s] of the release, and peak speed.
 
         Innovations that are larger than the stated noise explains make the errors larger.
         """
-        memory, weights = self._memory.copy(), self._weights
-        later = weights.times[::_COARSE]
-        later = later[later > self.newest]
-        memory['steps'] = 0
-        nothing, steps = np.full(later.size, np.nan), np.zeros(later.size, STEP)
-        _filter(memory, later, nothing, nothing, 0.0, weights.times, weights.weights, steps)
-        variances = memory['covariance'][0].diagonal()[3:] * max(1.0, float(memory['ratio'][0]))
+        present, times = self._present, self._response.times
+        ratio = max(1.0, float(present['ratio']))
+        later = [np.interp(self.newest, times, row) for row in self._later]
+        density = float(present['unmodelled']) * ratio**2
+        variances = ratio * (present['release'] + density * np.array(later))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
-        # errors of both speeds count as independent: another motion than expected makes them so
-        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return time_error, speed_error, relative_error * (speed / peak_speed) ** 2
+        return speed_error, time_error, peak_error
 
 
 def warm_up() -> None:

@@ -16,13 +16,14 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.plate import motion_of as motion_of_engine
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import (
+    Event,
     EventLimitError,
     PROJECTILE_FORCE,
     PROJECTILE_VELOCITY,
     Stepper,
 )
 from soft_throw_ros.core.throw import make_stepper
-from soft_throw_ros.twin.plate_observer import ReleaseWeights
+from soft_throw_ros.twin.plate_observer import pulse_of, ReleaseResponse
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
 THROW_FIELD_ROWS = 200
@@ -48,14 +49,14 @@ RETURN_TIME = 0.1
 _REST = 1e-7
 """Largest height, velocity and acceleration of a commanded plate at rest. [m], [m/s], [m/s2]"""
 
-_JUMP = 1e-6
+_PULSE = 1e-6
 """Jump of the plate's velocity, so small that the layer is linear and stays compressed. [m/s]"""
 
 _CONTACT_GRAVITY = 9.81
-"""Least gravity that holds the projectile on the layer after `_JUMP`. [m/s2]"""
+"""Least gravity that holds the projectile on the layer after `_PULSE`. [m/s2]"""
 
 _ANSWERS = 128
-"""Times in a throw at which the answer to `_JUMP` is known. [-]"""
+"""Times in a throw at which the answer to `_PULSE` is known. [-]"""
 
 _LONGER = 1.3
 """Latest release that is predicted, over the ejection time with the expected motion. [-]"""
@@ -84,7 +85,7 @@ class PreparedRig:
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
     fork: Stepper | None = None  # of the stepper, with a measured plate
-    release_weights: ReleaseWeights | None = None  # likewise
+    release_response: ReleaseResponse | None = None  # likewise
 
     @property
     def rig(self) -> Rig:
@@ -104,9 +105,9 @@ class PreparedRig:
     @cached_property
     def latest_release(self) -> float:
         """Latest time of a release that a fork predicts in a step; 0 for none [s]."""
-        if self.release_weights is None:
+        if self.release_response is None:
             return 0.0
-        time = _LONGER * self.release_weights.release_time
+        time = _LONGER * self.release_response.release_time
         return time if self.stepper.cost * time <= MOST_SHARE * self.tick else 0.0
 
     def period_ticks(self, period: float) -> int:
@@ -117,6 +118,11 @@ class PreparedRig:
         """Return the steps of the return to rest, at most half of the period."""
         ticks = max(1, round(RETURN_TIME / self.tick))
         return min(ticks, self.period_ticks(period) // 2) if period else ticks
+
+
+def state_of(stepper: Stepper) -> State:
+    """Return the present state of plate and projectile."""
+    return State._make(stepper.state.tolist()[1:])
 
 
 def layer_of(stepper: Stepper) -> LayerState:
@@ -141,7 +147,7 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
 def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
     """Return the energies of a rig before its first release, as in `interface.ENERGIES` [J]."""
     rig, total = stepper.rig, stepper.stored_energy()
-    state = State._make(stepper.state.tolist()[1:])
+    state = state_of(stepper)
     rise = state.projectile_position - stepper.rest_position
     projectile = rig.projectile.mass * (0.5 * state.projectile_velocity**2 + rig.gravity * rise)
     return stepper.plate_work, projectile, total - projectile, total
@@ -152,16 +158,15 @@ def stepper_of(config: TwinConfig) -> Stepper:
     return make_stepper(config.rig, is_measured=config.is_measured, field_points=FIELD_POINTS)
 
 
-def _release_weights(config: TwinConfig) -> ReleaseWeights:
+def _release_response(config: TwinConfig) -> ReleaseResponse:
     """
-    Return the weights of the plate in the release; without one, in the speed after half a period.
+    Return the response of the release; without one, of the speed after half a period.
 
-    By superposition they are the answers of the projectile to a small jump of the velocity.
+    By superposition it is the motion of the projectile after a small pulse of the plate.
     """
-    rig = config.rig
-    nominal = make_stepper(rig, is_measured=False, field_points=FIELD_POINTS)
-    _ejection_time(nominal)
-    release = nominal.events()[0] if nominal.event_count else None
+    rig, motion = config.rig, config.measurement.motion
+    nominal = make_stepper(rig, is_measured=False)
+    release = _first_release(nominal)
     end = 0.5 / rig.engine.frequency if release is None else release.time
     nominal.reset()
     nominal.advance_to((1.0 - _NEAR) * end)
@@ -169,20 +174,19 @@ def _release_weights(config: TwinConfig) -> ReleaseWeights:
     in_contact = dataclasses.replace(rig, gravity=max(rig.gravity, _CONTACT_GRAVITY))
     stepper = make_stepper(in_contact, is_measured=True)
     since = np.linspace(0.0, end, _ANSWERS)
-    stepper.append_plate_states(
-        [0.0, 2.0 * end], [[0.0, _JUMP, 0.0], [2.0 * _JUMP * end, _JUMP, 0.0]]
-    )
-    answers = []
+    times = np.append(since, 2.0 * end)  # cells go on to the end of their step
+    stepper.append_plate_states(times, _PULSE * pulse_of(motion, times))
+    speeds = []
     for time in since.tolist():
         stepper.advance_to(time)
-        answers.append(stepper.state[PROJECTILE_VELOCITY] / _JUMP)
-    rates = rig.projectile.mass / force_rate * np.gradient(answers, since)
-    peak_time = config.measurement.motion.peak_velocity_time
-    times = np.linspace(0.0, max(end, 1.1 * peak_time), _ANSWERS)
-    left = end - times
-    rows = [np.interp(left, since, row, left=0.0) for row in (answers, rates)]
+        speeds.append(stepper.state[PROJECTILE_VELOCITY] / _PULSE)
+    delays = rig.projectile.mass / force_rate * np.gradient(speeds, since)
+    peak_time = motion.peak_velocity_time
+    times = np.linspace(0.0, max(end, peak_time), _ANSWERS)
+    rows = [np.interp(end - times, since, row, left=0.0) for row in (speeds, delays)]
+    peak = np.where(times < peak_time, pulse_of(motion, peak_time - times)[:, 1], 0.0)
     expected = 0.0 if release is None else release.time
-    return ReleaseWeights(times, np.array([*rows, times < peak_time]), expected)
+    return ReleaseResponse(times, np.array([*rows, peak]), expected)
 
 
 def prepare(
@@ -212,10 +216,11 @@ def prepare(
     if config.is_measured:
         _require_time(config, stepper)
     path, motion = config.motion_file, config.rig.engine.motion
-    rest, rest_layer = State._make(stepper.state.tolist()[1:]), layer_of(stepper)
+    rest, rest_layer = state_of(stepper), layer_of(stepper)
     throw_field = None
     if not config.is_measured:
-        length = THROW_FIELD_LENGTH * _ejection_time(stepper)
+        release = _first_release(stepper)
+        length = THROW_FIELD_LENGTH * (release.time if release else config.rig.longest_wait)
         stepper.reset()
         throw_field = throw_field_of(stepper, length)
         stepper.reset()
@@ -228,7 +233,7 @@ def prepare(
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=throw_field,
         fork=stepper.fork() if config.is_measured else None,
-        release_weights=_release_weights(config) if config.is_measured else None,
+        release_response=_release_response(config) if config.is_measured else None,
     )
 
 
@@ -286,11 +291,9 @@ def _require_playable(config: TwinConfig, lead: float) -> None:
         )
 
 
-def _ejection_time(stepper: Stepper) -> float:
-    """Return the ejection time, or the waiting time if the projectile does not leave soon."""
-    latest = stepper.rig.longest_wait
+def _first_release(stepper: Stepper) -> Event | None:
+    """Advance to the first release, and return it, or None if there is none soon."""
     try:
-        release = stepper.advance_to_release(latest=latest)
+        return stepper.advance_to_release(latest=stepper.rig.longest_wait)
     except EventLimitError:  # the projectile has left, and bounces on a stiff layer
-        release = stepper.events()[0]
-    return latest if release is None else release.time
+        return stepper.events()[0]

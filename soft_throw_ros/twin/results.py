@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -264,15 +264,16 @@ class PlateCommand(NamedTuple):
     motion: SampledMotion
 
 
-class Outputs(NamedTuple):
-    """Output of one step."""
+@dataclass
+class Outputs:
+    """Output of one step, to which inputs before the step and the state of the rig add."""
 
     step: int
     throw: int  # number of throws that have started
-    state: State  # at the end of the step
-    phases: tuple[PhaseChange, ...] = ()  # that began in this step, or became known
-    events: tuple[Event, ...] = ()  # that happened, or became certain, in this step
-    results: tuple[ThrowResult, ...] = ()  # of the present throw, or the one that has just ended
+    state: State  # at the end of the step, before it of the last one
+    phases: list[PhaseChange] = field(default_factory=list)  # that began, or became known
+    events: Sequence[Event] = ()  # that happened, or became certain, in this step
+    results: list[ThrowResult] = field(default_factory=list)  # of the present or the last throw
     layer: LayerState | None = None  # at `rate.field`
     throw_field: Callable[[], ThrowField] | None = None  # once per throw; it takes milliseconds
     prediction: PredictedState | None = None  # in a throw of a measured plate

@@ -4,13 +4,13 @@
 The states of a rig in a session: at rest, in a throw, and returning to rest.
 
 Before `advance` gives the outputs of the present step, `start_next` enters the next state if it is
-due. `request_throw` returns the reason of a refusal, or an empty text.
+due. `refusal` returns the reason to refuse a throw, or an empty text.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias
@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
-from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, layer_of
+from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, layer_of, state_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
     LayerState,
     Outputs,
     Phase,
+    PhaseChange,
     Release,
     State,
     ThrowField,
@@ -48,7 +49,6 @@ class AtRest:
     """Plate and projectile are at rest; the next throw starts when it is due or requested."""
 
     session: Session
-    is_requested: bool = False
     start_step: int | None = None  # of the next throw, whose motion is commanded already
 
     def start_next(self) -> None:
@@ -57,29 +57,25 @@ class AtRest:
         if self.start_step is not None:
             if session.step >= self.start_step:
                 session.begin_throw()
-        elif self.is_requested or session.step >= session.next_start:
+        elif session.step >= session.next_start:
             if session.pending:
-                session.put_back(is_requested=self.is_requested)
+                session.put_back()
             else:
                 session.command_plate()
 
-    def advance(self) -> Outputs:
-        """Return the rest, of a measured plate as it is measured."""
-        session = self.session
-        rest, monitor = session.prepared.rest, session.monitor
-        state = rest if monitor is None else monitor.state(rest)
-        return Outputs(session.step, session.throws, state)
+    def advance(self, outputs: Outputs) -> None:
+        """Output the rest, of a measured plate as it is measured."""
+        rest, monitor = self.session.prepared.rest, self.session.monitor
+        outputs.state = rest if monitor is None else monitor.state(rest)
 
     def layer(self) -> LayerState:
         """Return the layer at rest."""
         return self.session.prepared.rest_layer
 
-    def request_throw(self) -> str:
-        """Start a throw with the next step."""
-        if self.is_requested or self.start_step is not None:
-            return f'throw {self.session.throws + 1} is about to start'
-        self.is_requested = True
-        return ''
+    def refusal(self) -> str:
+        """Refuse another throw if one is about to start."""
+        is_about_to_start = self.session.is_requested or self.start_step is not None
+        return f'throw {self.session.throws + 1} is about to start' if is_about_to_start else ''
 
 
 @dataclass
@@ -94,20 +90,19 @@ class Returning:
     begin: int
     end: int
     origin: State
-    is_requested: bool = False  # the next throw starts when they have arrived
 
     def start_next(self) -> None:
         """Start a throw that is due, or else rest."""
         session = self.session
         if session.step >= self.end:
-            if self.is_requested or session.step >= session.next_start:
+            if session.step >= session.next_start:
                 session.command_plate()
             else:
                 session.enter(AtRest(session), Phase.REST)
 
-    def advance(self) -> Outputs:
+    def advance(self, outputs: Outputs) -> None:
         """
-        Return a point of the way to rest with the least jerk [1]_, or that of a measured plate.
+        Output a point of the way to rest with the least jerk [1]_, or that of a measured plate.
 
         Plate and projectile have covered the same share of their ways at any time, so that they
         do not collide. Forces are zero, because the layer is left out.
@@ -119,14 +114,15 @@ class Returning:
         """
         session, origin, goal = self.session, self.origin, self.session.prepared.rest
         if session.monitor is not None:
-            return Outputs(session.step, session.throws, session.monitor.state(goal))
+            outputs.state = session.monitor.state(goal)
+            return
         ticks = self.end - self.begin
         time = (session.step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
         plate = goal.plate_position - origin.plate_position
         projectile = goal.projectile_position - origin.projectile_position
-        state = State(
+        outputs.state = State(
             plate_position=origin.plate_position + share * plate,
             projectile_position=origin.projectile_position + share * projectile,
             plate_velocity=speed * plate,
@@ -134,11 +130,10 @@ class Returning:
             plate_force=0.0,
             projectile_force=0.0,
         )
-        return Outputs(session.step, session.throws, state)
 
     def layer(self) -> LayerState:
         """Return the layer lying on the plate without force."""
-        prepared, state = self.session.prepared, self.session.state
+        prepared, state = self.session.prepared, self.session.outputs.state
         rest, gap = prepared.rest, state.projectile_position - state.plate_position
         scale = min(1.0, gap / (rest.projectile_position - rest.plate_position))
         height = prepared.rest_layer.height - rest.plate_position
@@ -148,9 +143,9 @@ class Returning:
             np.zeros(FIELD_POINTS),
         )
 
-    def request_throw(self) -> str:
+    def refusal(self) -> str:
         """Refuse a throw until the rig is at rest."""
-        return self.session.refusal('resetting the rig', self.end)
+        return self.session.ready_text('resetting the rig', self.end)
 
 
 class OngoingThrow(ABC):
@@ -174,53 +169,42 @@ class OngoingThrow(ABC):
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
 
-    @property
-    def first_release(self) -> Event | None:
-        """Return the first release, if the projectile has left."""
-        return self.events[0] if self.events else None
-
-    def advance(self) -> Outputs:
+    def advance(self, outputs: Outputs) -> None:
         """Advance to the present step, and end the throw if it is over."""
         session, was_released = self.session, bool(self.events)
-        outputs = self._advance()
-        session.state = outputs.state
+        self._advance(outputs)
         for event in outputs.events:
-            session.phases.append((_PHASES[event.kind], self._event_ns(event)))
+            outputs.phases.append(PhaseChange(_PHASES[event.kind], self._event_ns(event)))
         if self.events and not was_released:
             session.report(self._result('release'))
         returning = self._prepared.return_ticks(session.config.throw_period)
         if self.ended_by or session.step >= session.next_start - returning:
             self.end(self.ended_by or 'period')
         else:
-            session.throw_field = self._throw_field()
-        return outputs
+            outputs.throw_field = self._throw_field()
 
     def end(self, ended_by: str) -> None:
         """End the throw, and put the rig back."""
         self.ended_by = ended_by
         self.session.report(self._result('final'))
-        self.session.throw_field = self._throw_field()
+        self.session.outputs.throw_field = self._throw_field()
         self.session.put_back()
 
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
         return layer_of(self._stepper)
 
-    def request_throw(self) -> str:
+    def refusal(self) -> str:
         """Refuse another throw."""
-        return self.session.refusal(f'throw {self.number} is under way', self.session.due)
+        return self.session.ready_text(f'throw {self.number} is under way', self.session.due)
 
     @abstractmethod
-    def _advance(self) -> Outputs:
+    def _advance(self, outputs: Outputs) -> None:
         """Advance to the present step; end the throw by `ended_by`."""
 
     @abstractmethod
     def _throw_field(self) -> Callable[[], ThrowField] | None:
-        """
-        Return the layer over time once, when it is known for long enough or the throw ends.
-
-        It is a function, which takes milliseconds and may be called in any thread.
-        """
+        """Return the layer over time once, when it is known for long enough or the throw ends."""
 
     @abstractmethod
     def _event_ns(self, event: Event) -> int:
@@ -230,11 +214,11 @@ class OngoingThrow(ABC):
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate, until the first release if it is known [m/s]."""
 
-    def _go_to(self, time: float) -> tuple[State, tuple[Event, ...]]:
+    def _go_to(self, time: float) -> tuple[State, list[Event]]:
         """Advance to a time after the start; return the state and the new events."""
         stepper, seen = self._stepper, len(self.events)
         count = self._try_to_advance(stepper, time)
-        state = State._make(stepper.state.tolist()[1:])
+        state = state_of(stepper)
         if max(abs(state.plate_velocity), abs(state.projectile_velocity)) > self._rest_speed:
             self._last_moving_time = time
         if count > seen:
@@ -246,7 +230,7 @@ class OngoingThrow(ABC):
             self.ended_by = 'duration'
         elif time - self._last_moving_time > self._prepared.settling_time and stepper.in_contact:
             self.ended_by = 'rest'
-        return state, tuple(self.events[seen:])
+        return state, self.events[seen:]
 
     def _try_to_advance(self, stepper: Stepper, time: float) -> int:
         """Advance a stepper to a time; return its number of events, 0 if that is too large."""
@@ -256,16 +240,13 @@ class OngoingThrow(ABC):
             self.ended_by = 'max_events'
             return 0
 
-    def _result(self, stage: str) -> ThrowResult:
-        """Return the result so far."""
-        return self._result_of(stage, self._stepper, self.events)
-
-    def _result_of(self, stage: str, stepper: Stepper, events: Sequence[Event]) -> ThrowResult:
-        """Return the result by a stepper; an invalid throw has no events."""
+    def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
+        """Return the result so far, or by a fork; an invalid throw has no events."""
+        stepper, events = fork or self._stepper, fork.events()[:1] if fork else self.events
         rig, loads = self._prepared.rig, stepper.loads
         peak_speed = self._peak_plate_speed(events[0] if events else None)
         if self.ended_by in INVALID_ENDS:
-            events = ()
+            events = []
         ejected = ejections(events)
         releases = [
             Release(
@@ -309,11 +290,9 @@ class ScheduledThrow(OngoingThrow):
         self._time = 0.0  # since the start [s]
         self._stamps: dict[Event, int] = {}  # of events, by the clock of the ticks [ns]
 
-    def _advance(self) -> Outputs:
-        step = self.session.step
-        self._time = (step - self._start_step) * self._prepared.tick
-        state, events = self._go_to(self._time)
-        return Outputs(step, self.number, state, events=events)
+    def _advance(self, outputs: Outputs) -> None:
+        self._time = (outputs.step - self._start_step) * self._prepared.tick
+        outputs.state, outputs.events = self._go_to(self._time)
 
     def _event_ns(self, event: Event) -> int:
         # relative to the step, because steps may be skipped

@@ -4,7 +4,7 @@
 Samples of a rig as they arrive, in the order of their stamps.
 
 Samples older than the newest stamp by more than `measured.latency` (the watermark) are complete.
-Then outliers among them are removed, see `outlier_filter`. Samples that arrive for a complete time
+Then outliers among them are removed, see `OutlierFilter`. Samples that arrive for a complete time
 are late, and are refused.
 """
 
@@ -20,16 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel
-from soft_throw_ros.twin.outlier_filter import OutlierFilter
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.twin.tick_schedule import SECOND
 
 Floats = NDArray[np.float64]
 
 LONG_AGO = -(2**62)
 """Stamp before all stamps. [ns]"""
-
-REASONS = ('not finite', 'out of range', 'future', 'past', 'doubled', 'late')
-"""Why a sample is refused."""
 
 FUTURE = SECOND // 10
 """Largest accepted lead of a stamp over the clock. [ns]"""
@@ -45,6 +42,30 @@ FEWEST = 4
 
 _KEPT_WINDOWS = 16
 """Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
+
+
+MEDIAN_DEVIATION = 0.6745
+"""Median of the magnitude of standard normal numbers. [-]"""
+
+OUTLIER_SIGMAS = 6.0
+"""Standard errors beyond which a sample is an outlier; noise is so far off once in 5e8. [-]"""
+
+MAX_OUTLIERS_IN_A_ROW = 3
+"""Outliers in a row that show that the expectation is wrong, and not the samples. [-]"""
+
+_TRACKING = 1.05
+"""Correction factor of the running median of the deviations, per sample. [-]"""
+
+_BODY = np.dtype(
+    [
+        ('stamp', 'i8'),  # of the last height [ns]
+        ('state', 'f8', (2,)),  # height [m] and velocity [m/s] then
+        ('covariance', 'f8', (2, 2)),
+        ('median', 'f8'),  # running median of deviations over standard errors [-]
+        ('in_a_row', 'i8'),  # outliers since the last accepted height
+    ],
+    align=True,
+)
 
 
 class Sample(NamedTuple):
@@ -117,7 +138,7 @@ class SampleCounts:
     taken: int = 0
     out_of_order: int = 0
     outliers: int = 0
-    refused: Counter[str] = field(default_factory=Counter)  # by `REASONS` and those of messages
+    refused: Counter[str] = field(default_factory=Counter)  # by reason
 
 
 class SampleBuffer:
@@ -165,21 +186,37 @@ class SampleBuffer:
 
     def add(self, samples: Samples, now_ns: int) -> Samples:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
-        counts, stored, refusals = self.counts, self.samples, np.zeros(len(samples), np.int64)
-        late, self.newest_ns = _check(
-            samples.stamps, samples.heights, stored.stamps, now_ns, self.newest_ns,
-            self.complete_ns, refusals,
-        )
-        counts.out_of_order += late
-        if refusals.any():
-            counts.refused.update(REASONS[number - 1] for number in refusals[refusals > 0])
-            samples = samples[refusals == 0]
+        counts, stored, added, in_order = self.counts, self.samples, dict[int, int](), True
+        rows = zip(samples.stamps.tolist(), *samples.heights.T.tolist(), strict=True)
+        for index, (stamp_ns, plate, projectile) in enumerate(rows):
+            is_old = stamp_ns <= self.newest_ns
+            if not math.isfinite(plate) or math.isinf(projectile):
+                reason = 'not finite'
+            elif abs(plate) > FARTHEST or abs(projectile) > FARTHEST:
+                reason = 'out of range'
+            elif stamp_ns > now_ns + FUTURE:
+                reason = 'future'
+            elif stamp_ns < now_ns - PAST:
+                reason = 'past'
+            elif is_old and (stamp_ns in added or stamp_ns in stored.stamps):
+                reason = 'doubled'
+            elif stamp_ns <= self.complete_ns:
+                reason = 'late'
+            else:
+                added[stamp_ns] = index
+                in_order &= not is_old
+                counts.out_of_order += is_old
+                self.newest_ns = max(stamp_ns, self.newest_ns)
+                continue
+            counts.refused[reason] += 1
+        if len(added) < len(samples):
+            samples = samples[np.array([*added.values()], np.int64)]
         counts.taken += len(samples)
         self.samples = Samples(
             np.concatenate((stored.stamps, samples.stamps)),
             np.concatenate((stored.heights, samples.heights)),
         )
-        if late:
+        if not in_order:
             self.samples = self.samples[self.samples.stamps.argsort(kind='stable')]
         return samples
 
@@ -208,47 +245,82 @@ class SampleBuffer:
         return new
 
 
+class OutlierFilter:
+    """
+    A filter that finds outliers among the heights of plate and projectile.
+
+    Each body is followed by a Kalman filter of its height and velocity. Between two samples it has
+    an unknown constant acceleration, whose standard deviation is half of the engine's. A height
+    that is `OUTLIER_SIGMAS` standard errors off is an outlier; the last of `MAX_OUTLIERS_IN_A_ROW`
+    is accepted, because the body moves in another way or the zero of the sensor has moved.
+    Standard errors are from the `noise` [m] and the `stamp_error` [s], which displaces a moving
+    body, or from recent deviations if these are larger.
+    """
+
+    def __init__(self, plate: Underdamped, noise: float, stamp_error: float) -> None:
+        acceleration = 0.5 * plate.amplitude * plate.angular_frequency**2
+        self._parameters = acceleration, plate.peak_velocity, noise, stamp_error
+        self._bodies = np.zeros(2, _BODY)
+        self._bodies['in_a_row'] = MAX_OUTLIERS_IN_A_ROW  # so that the first height is accepted
+        self._bodies['state'][:, 0] = np.inf
+        self._bodies['median'] = MEDIAN_DEVIATION
+
+    def find(self, stamps: NDArray[np.int64], heights: Floats) -> NDArray[np.bool_]:
+        """Return which of the following heights are outliers, shape (n, 2); NaN is none."""
+        is_outlier = np.zeros(heights.shape, dtype=np.bool_)
+        _find(self._bodies, stamps, heights, *self._parameters, is_outlier)
+        return is_outlier
+
+
 @kernel
-def _check(
+def _find(
+    bodies: NDArray[np.void],
     stamps: NDArray[np.int64],
     heights: Floats,
-    known: NDArray[np.int64],
-    now_ns: int,
-    newest_ns: int,
-    complete_ns: int,
-    refusals: NDArray[np.int64],
-) -> tuple[int, int]:
-    """
-    Write the numbers of the `REASONS` of refused samples, from 1.
-
-    Return the number of others that are out of order, and the newest stamp.
-    """
-    late = 0
-    for n in range(stamps.size):
-        stamp, plate, projectile = stamps[n], heights[n, 0], heights[n, 1]
-        index = np.searchsorted(known, stamp)
-        is_doubled = index < known.size and known[index] == stamp
-        for m in range(n):
-            is_doubled |= refusals[m] == 0 and stamps[m] == stamp
-        if not math.isfinite(plate) or math.isinf(projectile):
-            refusals[n] = 1
-        elif abs(plate) > FARTHEST or abs(projectile) > FARTHEST:
-            refusals[n] = 2
-        elif stamp > now_ns + FUTURE:
-            refusals[n] = 3
-        elif stamp < now_ns - PAST:
-            refusals[n] = 4
-        elif is_doubled:
-            refusals[n] = 5
-        elif stamp <= complete_ns:
-            refusals[n] = 6
-        else:
-            late += stamp < newest_ns
-            newest_ns = max(stamp, newest_ns)
-    return late, newest_ns
+    acceleration: float,
+    speed: float,
+    noise: float,
+    stamp_error: float,
+    is_outlier: NDArray[np.bool_],
+) -> None:
+    """Test heights in order."""
+    for body in range(bodies.size):
+        s = bodies[body]
+        x, p = s.state, s.covariance
+        for n in range(stamps.size):
+            height, h = heights[n, body], (stamps[n] - s.stamp) / SECOND
+            if np.isnan(height):
+                continue
+            s.stamp = stamps[n]
+            x[0] += h * x[1]
+            p[0, 0] += h * (2.0 * p[0, 1] + h * p[1, 1]) + (0.5 * acceleration * h * h) ** 2
+            p[0, 1] += h * p[1, 1] + 0.5 * (acceleration * h) ** 2 * h
+            p[1, 1] += (acceleration * h) ** 2
+            variance = noise**2 + (x[1] * stamp_error) ** 2
+            error = height - x[0]
+            deviation = abs(error) / np.sqrt(p[0, 0] + variance)
+            is_far = deviation > OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median
+            s.median *= _TRACKING if deviation > s.median else 1.0 / _TRACKING
+            s.median = max(s.median, MEDIAN_DEVIATION)
+            s.in_a_row = s.in_a_row + 1 if is_far else 0
+            if 0 < s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
+                is_outlier[n, body] = True
+                continue
+            if s.in_a_row:  # begin again
+                s.in_a_row = 0
+                x[0], x[1] = height, 0.0
+                p[0, 0], p[0, 1], p[1, 1] = variance, 0.0, speed**2
+                continue
+            total = p[0, 0] + variance
+            gain0, gain1 = p[0, 0] / total, p[0, 1] / total
+            x[0] += gain0 * error
+            x[1] += gain1 * error
+            p[1, 1] -= gain1 * p[0, 1]
+            p[0, 1] -= gain0 * p[0, 1]
+            p[0, 0] -= gain0 * p[0, 0]
 
 
 def warm_up() -> None:
-    """Compile or load the kernels."""
-    samples = Samples.of([])
-    _check(samples.stamps, samples.heights, samples.stamps, 0, 0, 0, samples.stamps)
+    """Compile the kernel, or load it from the cache on disk."""
+    plate = Underdamped(amplitude=1.0, frequency=1.0, damping_ratio=0.1)
+    OutlierFilter(plate, 1.0, 0.0).find(np.arange(4), np.zeros((4, 2)))

@@ -17,6 +17,7 @@ from threading import Lock
 from soft_throw_ros.configuration import motions, Settings
 from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.table import quote
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
@@ -27,7 +28,6 @@ from soft_throw_ros.twin.results import (
     Phase,
     PhaseChange,
     PlateCommand,
-    ThrowField,
     ThrowResult,
 )
 from soft_throw_ros.twin.rig_states import (
@@ -37,8 +37,11 @@ from soft_throw_ros.twin.rig_states import (
     RigState,
     ScheduledThrow,
 )
-from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts, Samples
+from soft_throw_ros.twin.sample_buffer import LONG_AGO, Onset, SampleCounts, Samples
 from soft_throw_ros.twin.tick_schedule import TickSchedule
+
+_NOW = LONG_AGO
+"""Stamp of a phase that begins at the deadline of the step, which may be set later. [ns]"""
 
 
 class RequestRejected(Exception):
@@ -64,8 +67,8 @@ class Session:
         Returns the motion of a plate by the path of its file; by default it reads the file.
     prepared : PreparedRig, optional
         The result of `prepared_rig.prepare` for the settings; by default they are prepared here.
-    entry : mapping, optional
-        Entry of the journal for the start of a throw, with which the session continues.
+    is_resumed : bool
+        Whether `from_entry` starts a throw next.
 
     Raises
     ------
@@ -99,20 +102,16 @@ class Session:
         on_entry: Callable[[str], None] = lambda _line: None,
         motion_of: MotionSource = motions.read,
         prepared: PreparedRig | None = None,
-        entry: journal.Entry | None = None,
+        is_resumed: bool = False,
     ) -> None:
         self.step = step  # number of the next step
         self.throws = 0  # number of throws that have started
+        self.is_requested = False  # a throw
         self.sample_counts = SampleCounts()  # of the rig
         self.prepared = self.wanted = prepared or prepare(settings, motion_of=motion_of)
         self.config = self.prepared.config  # in effect
-        self.state = self.prepared.rest  # in the last step
         self.monitor: PlateMonitor | None = None  # if the plate is measured
-        # outputs of the next step; the time of a phase [ns] is None for the deadline of the step
-        self.phases: list[tuple[Phase, int | None]] = []
-        self.throw_field: Callable[[], ThrowField] | None = None
-        self._results: list[ThrowResult] = []
-        self._command: PlateCommand | None = None
+        self.outputs = Outputs(step, 0, self.prepared.rest)  # of the next step
         self._lock = Lock()  # held for microseconds
         self._journal = JournalWriter(on_entry, step=step)
         self._schedule = TickSchedule(step=step, time_ns=0, rate=self.rate)
@@ -122,11 +121,9 @@ class Session:
         self._busy_until: float = step  # at the end of a commanded motion, or of a return
         self._start_monitoring()
         self._rig_state: RigState = AtRest(self)
-        if entry is None:
-            self.phases.append((Phase.REST, None))
+        if not is_resumed:
+            self.enter(self._rig_state, Phase.REST)
             self._journal.begin('start', step, settings, motions=self._encoded_motions)
-        else:
-            self._resume(entry, motion_of)
 
     @classmethod
     def from_entry(
@@ -146,42 +143,30 @@ class Session:
             If the rig cannot be stepped in real time.
 
         """
-        settings, is_start = journal.checked_settings(entry, 'settings'), entry['kind'] == 'start'
-        if not is_start and (entry['kind'] != 'throw' or 'throw' not in entry):
+        settings, is_throw = journal.checked_settings(entry, 'settings'), entry['kind'] == 'throw'
+        if entry['kind'] != 'start' and not (is_throw and 'throw' in entry):
             raise journal.JournalError(
                 f'a session starts with an entry start or throw, got {quote(dict(entry))}'
             )
-        return cls(
-            settings,
-            step=entry['step'],
-            on_entry=on_entry,
-            motion_of=journal.motion_source(entry),
-            entry=None if is_start else entry,
+        motion_of = journal.motion_source(entry)
+        session = cls(
+            settings, step=entry['step'], on_entry=on_entry, motion_of=motion_of,
+            is_resumed=is_throw,
         )
-
-    def _resume(self, entry: journal.Entry, motion_of: MotionSource) -> None:
-        """Start the throw of an entry of a journal with the next step."""
-        if pending := journal.checked_settings(entry, 'pending'):
-            self._stage(self._prepare(pending, motion_of))
-        self.throws = entry['throw'] - 1
-        if 'schedule' in entry:
-            self._schedule = journal.decode_schedule(entry['schedule'])
-        is_measured = self.is_measured
-        self.begin_throw(journal.decode_onset(entry.get('onset', {})) if is_measured else None)
-
-    def _prepare(self, values: Settings, motion_of: MotionSource) -> PreparedRig:
-        """Return the wanted rig after a change."""
-        return prepare({**self.wanted.config.settings, **values}, self.wanted, motion_of)
+        if is_throw:
+            if pending := journal.checked_settings(entry, 'pending'):
+                session._stage(prepare({**settings, **pending}, session.prepared, motion_of))
+            session.throws = entry['throw'] - 1
+            if 'schedule' in entry:
+                session._schedule = journal.decode_schedule(entry)
+            onset = entry.get('onset', {})
+            session.begin_throw(journal.decode_onset(onset) if session.is_measured else None)
+        return session
 
     @property
     def rate(self) -> float:
         """Present number of steps per second of the clock [Hz]."""
         return self.config.state_rate
-
-    @property
-    def time_scale(self) -> float:
-        """Present time of the rig over time of the clock [-]."""
-        return self.config.time_scale
 
     @property
     def pending(self) -> Settings:
@@ -223,8 +208,9 @@ class Session:
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if refusal := self._rig_state.request_throw():
+            if refusal := self._rig_state.refusal():
                 raise RequestRejected(refusal)
+            self.is_requested = True
             self._journal.write('input', self.step, input='throw')
             return self.throws + 1
 
@@ -232,6 +218,7 @@ class Session:
         """Abort a throw under way, return to rest, and count the period from here."""
         with self._lock:
             self._journal.write('input', self.step, input='reset')
+            self.is_requested = False
             if isinstance(self._rig_state, OngoingThrow):
                 self._rig_state.end('reset')
             else:
@@ -257,7 +244,9 @@ class Session:
             If the rig could not be stepped in real time; then nothing has changed.
 
         """
-        wanted = prepared or self._prepare(values, motion_of)
+        wanted = prepared or prepare(
+            {**self.wanted.config.settings, **values}, self.wanted, motion_of
+        )
         with self._lock:
             before = self._encoded_motions
             self._stage(wanted)
@@ -306,7 +295,7 @@ class Session:
         """
         with self._lock:
             self._schedule = replace(schedule)  # its owner changes it later
-            self._journal.write('tick_schedule', self.step, **journal.encode_schedule(schedule))
+            self._journal.write('tick_schedule', self.step, schedule=vars(schedule))
 
     def close(self) -> None:
         """Write the remaining entries of the journal after the last step."""
@@ -322,22 +311,19 @@ class Session:
                 self._watch_plate(self.monitor)
             elif not isinstance(self._rig_state, OngoingThrow):
                 self._rig_state.start_next()
-            outputs = self._rig_state.advance()
-            self.state = outputs.state
+            outputs = self.outputs
+            outputs.throw = self.throws
+            self._rig_state.advance(outputs)
             due_ns, since = self.due_ns(self.step), self.step - self._field_start
+            outputs.phases = [
+                PhaseChange(phase, due_ns if stamp_ns == _NOW else stamp_ns)
+                for phase, stamp_ns in outputs.phases
+            ]
             row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
-            outputs = outputs._replace(
-                phases=tuple(
-                    PhaseChange(phase, due_ns if stamp_ns is None else stamp_ns)
-                    for phase, stamp_ns in self.phases
-                ),
-                results=tuple(self._results),
-                layer=None if row == last_row else self._rig_state.layer(),
-                throw_field=self.throw_field,
-                command=self._command,
-            )
-            self.phases, self._results, self.throw_field, self._command = [], [], None, None
+            if row != last_row:
+                outputs.layer = self._rig_state.layer()
             self.step += 1
+            self.outputs = Outputs(self.step, self.throws, outputs.state)
             self._journal.end_step(outputs, rate=self.rate, is_measured=self.is_measured)
             return outputs
 
@@ -403,36 +389,35 @@ class Session:
 
     @property
     def next_start(self) -> float:
-        """Step at which the next throw starts by the period, or at which it is commanded."""
-        return self.due - self._lead_ticks
+        """Step at which the next throw starts, or at which it is commanded."""
+        return -math.inf if self.is_requested else self.due - self._lead_ticks
 
     @property
     def _lead_ticks(self) -> int:
         """Steps from the command of a motion to its start; 0 without a command."""
         return round((self.config.command_lead or 0.0) * self.rate)
 
-    def refusal(self, reason: str, until: float) -> str:
+    def ready_text(self, reason: str, until: float) -> str:
         """Return a reason with the time until a step."""
         remaining = (until - self.step) / self.rate
         return f'{reason}: ready in at most {remaining:.2f} s' if until < math.inf else reason
 
     def report(self, result: ThrowResult) -> None:
         """Output a result, and write it to the journal."""
-        self._results.append(result)
+        self.outputs.results.append(result)
         self._journal.write_result(self.step, result)
 
-    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int | None = None) -> None:
-        """Enter a state with a phase."""
+    def enter(self, rig_state: RigState, phase: Phase, stamp_ns: int = _NOW) -> None:
+        """Enter a state with a phase, by default at the deadline of the step."""
         self._rig_state = rig_state
-        self.phases.append((phase, stamp_ns))
+        self.outputs.phases.append(PhaseChange(phase, stamp_ns))
 
     def command_plate(self) -> None:
         """Output the motion of the next throw if a controller plays it, and start the throw."""
-        start_step = self.step + self._lead_ticks
-        motion = self.prepared.rig.engine.motion
-        if self.config.command_lead is not None and motion is not None:
-            self._command = PlateCommand(self.due_ns(start_step), motion)
-        self._busy_until = self._end_of_command(start_step)
+        start_step, self.is_requested = self.step + self._lead_ticks, False
+        if (motion := self._commanded_motion) is not None:
+            self.outputs.command = PlateCommand(self.due_ns(start_step), motion)
+            self._busy_until = start_step + motion.end_time * self.rate
         if start_step == self.step:
             self.begin_throw()
         elif isinstance(self._rig_state, AtRest):
@@ -440,19 +425,18 @@ class Session:
         else:
             self.enter(AtRest(self, start_step=start_step), Phase.REST)
 
-    def _end_of_command(self, start: int) -> float:
-        """Return the step at which a controller has played a motion from `start` on, if any."""
-        motion = self.prepared.rig.engine.motion
-        if self.config.command_lead is None or motion is None:
-            return start
-        return start + motion.end_time * self.rate
+    @property
+    def _commanded_motion(self) -> SampledMotion | None:
+        """The motion that a controller plays in each throw."""
+        return None if self.config.command_lead is None else self.prepared.rig.engine.motion
 
     def begin_throw(self, onset: Onset | None = None) -> None:
         """Begin a throw, of a measured plate with an onset."""
         step = self.step
         self.throws += 1
         self._field_start = self._period_start = step
-        self._busy_until = self._end_of_command(step)
+        if (motion := self._commanded_motion) is not None:
+            self._busy_until = step + motion.end_time * self.rate
         self._journal.begin(
             'throw',
             step,
@@ -460,7 +444,7 @@ class Session:
             motions=self._encoded_motions,
             throw=self.throws,
             pending=self.pending,
-            schedule=journal.encode_schedule(self._schedule),
+            schedule=vars(self._schedule),
             **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
         if onset is None:
@@ -470,22 +454,21 @@ class Session:
             throw = MeasuredThrow(self, onset, self.monitor.buffer)
             self.enter(throw, Phase.CONTACT, onset.onset_ns)
 
-    def put_back(self, *, is_requested: bool = False) -> None:
+    def put_back(self) -> None:
         """
         Begin the return to rest, with the settings that were pending in effect.
 
         It ends no sooner than a commanded motion, which the next command would replace.
         """
-        busy_time = (self._busy_until - self.step) / self.rate
+        busy_time, ticks = (self._busy_until - self.step) / self.rate, 0
         self._commit()
-        ticks = 0
         if not self.config.is_measured:
             ticks = self.prepared.return_ticks(self.config.throw_period)
             ticks = max(ticks, math.ceil(busy_time * self.rate))
         self._start_monitoring()
         self._field_start, self._busy_until = self.step, self.step + ticks
-        is_requested = is_requested and self.monitor is None
-        returning = Returning(self, self.step, self.step + ticks, self.state, is_requested)
+        self.is_requested &= self.monitor is None
+        returning = Returning(self, self.step, self.step + ticks, self.outputs.state)
         self.enter(returning, Phase.RETURNING)
 
     def _commit(self) -> None:

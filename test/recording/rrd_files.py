@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 import contextlib
 from pathlib import Path
@@ -14,13 +15,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 from soft_throw_ros.recording.rerun_view import Scene
-from soft_throw_ros.recording.rerun_viewer import (
-    finish,
-    new_stream,
-    save_to,
-    Viewer,
-    ViewerError,
-)
+from soft_throw_ros.recording.rerun_viewer import finish, new_stream, save_to, Viewer, ViewerError
 
 
 @contextlib.contextmanager
@@ -41,40 +36,32 @@ class RrdFile:
         with warnings.catch_warnings():
             warnings.filterwarnings('ignore', 'RRD file has no footer')  # of a stream, as it grows
             reader = RrdReader(path)
-        self.entities: dict[str, list[Any]] = {}
-        self.rows: dict[str, int] = {}
+        self.entities: dict[str, list[Any]] = defaultdict(list)
+        self.rows = Counter[str]()  # numbers of those with a time
         for chunk in reader.stream():
-            self.entities.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
+            self.entities[chunk.entity_path].append(chunk.to_record_batch())
             if not chunk.is_static:
-                self.rows[chunk.entity_path] = self.rows.get(chunk.entity_path, 0) + chunk.num_rows
-        blueprints = [
+                self.rows[chunk.entity_path] += chunk.num_rows
+        self._blueprints = [
             chunk.to_record_batch().to_pydict()
-            for store in reader.blueprints()
-            for chunk in reader.stream(store=store)
+            for store in reader.blueprints() for chunk in reader.stream(store=store)
         ]
-        self.views = [
-            item['ViewBlueprint:display_name'][0][0]
-            for item in blueprints
-            if 'ViewBlueprint:display_name' in item
-        ]
-        self.ranges = [
-            tuple(item['ScalarAxis:range'][0][0])
-            for item in blueprints
-            if 'ScalarAxis:range' in item
-        ]
+
+    def layout(self, component: str) -> list[Any]:
+        """Return the values of a component of the layout."""
+        return [item[component][0][0] for item in self._blueprints if component in item]
 
     def series(
         self, entity: str, component: str, timeline: str = 'stamp'
     ) -> tuple[Any, list[Any]]:
         """Return times and values of a component, by time."""
-        times: list[int] = []
-        values: list[Any] = []
+        rows: list[tuple[int, Any]] = []
         for batch in self.entities[entity]:
             if {timeline, component} <= set(batch.schema.names):
-                times += batch.column(timeline).cast('int64').to_pylist()
-                values += batch.column(component).to_pylist()
-        order = np.argsort(times, kind='stable')
-        return np.array(times)[order], [values[index] for index in order]
+                times = batch.column(timeline).cast('int64').to_pylist()
+                rows += zip(times, batch.column(component).to_pylist(), strict=True)
+        rows.sort(key=lambda row: row[0])
+        return np.array([time for time, _ in rows]), [value for _, value in rows]
 
     def scalars(self, entity: str, timeline: str = 'stamp') -> tuple[Any, Any]:
         times, values = self.series(entity, 'Scalars:scalars', timeline)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from bags import datas
@@ -41,16 +40,10 @@ def twin() -> Any:
 
 
 @pytest.fixture(scope='module')
-def path(twin, tmp_path_factory) -> Path:
+def recording(twin, tmp_path_factory) -> RrdFile:
     journal = [item for item in twin.messages if item.channel.topic == '/twin/journal']
     path = tmp_path_factory.mktemp('scene') / 'scene.rrd'
-    record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])
-    return path
-
-
-@pytest.fixture(scope='module')
-def recording(path) -> RrdFile:
-    return RrdFile(path)
+    return record(path, twin.messages, throw=find_throws(journal)['/twin'][-1])[0]
 
 
 def test_scene_has_every_state_in_its_units(twin, recording) -> None:
@@ -117,7 +110,7 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(tmp_path) 
         assert len(recording.scalars(f'{root}/position')[0]) == 150
     assert '/rig1/twin/side/plate/body' not in recording.entities
     assert r'/rig\ 2/twin/side/plate/body' in recording.entities
-    assert recording.views.count('Position z (mm)') == 2
+    assert recording.layout('ViewBlueprint:display_name').count('Position z (mm)') == 2
 
 
 @pytest.mark.parametrize('is_live', [False, True])
@@ -149,14 +142,27 @@ def test_live_view_keeps_the_rig_for_late_viewers(twin, tmp_path) -> None:
     assert recording.rows['/twin/throw_result'] >= 2
 
 
-def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
-    tmp_path
-) -> None:
+@pytest.fixture(scope='module')
+def measured(tmp_path_factory) -> tuple[TwinMessages, RrdFile]:
+    """Return a measured throw with diagnostics of its track, and its recording."""
     twin = TwinMessages(engine__motion='measured')
-    twin.measure(duration=0.1)
-    onset = twin.schedule.time_ns + 50_000_000
-    twin.outgoing.send(TWIN_TOPICS.residual, onset + 5_000_000, (0.0, 0.1))  # an outlier
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
+    twin.measure(duration=0.1, noise=2e-6)
+    for node, task, values in (
+        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
+        ('/twin', 'timing', {'ticks': 1000}),
+        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
+        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
+    ):
+        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
+    outlier = twin.schedule.time_ns + 55_000_000
+    twin.outgoing.send(TWIN_TOPICS.residual, outlier, (0.0, 0.1))
+    return twin, record(tmp_path_factory.mktemp('scene') / 'scene.rrd', twin.messages)[0]
+
+
+def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_range(
+    measured
+) -> None:
+    twin, recording = measured
     predictions = [outputs.prediction for outputs in twin.outputs if outputs.prediction]
     stamps, values = recording.scalars('/twin/position/predicted')
     assert stamps.tolist() == [item.stamp_ns for item in predictions]
@@ -167,24 +173,14 @@ def test_prediction_and_residual_are_drawn_and_an_outlier_does_not_widen_the_ran
         sorted([1e6 * residual[0] for residual in residuals] + [0.0])
     )
     assert values.max() == pytest.approx(1e5)
-    assert recording.ranges == [(-100.0, 100.0)]
-    _, measured = recording.scalars('/twin/position/measured')
-    assert measured[:, 1].max() > 1e3 * Rig().layer.thickness
+    assert recording.layout('ScalarAxis:range') == [[-100.0, 100.0]]
+    _, positions = recording.scalars('/twin/position/measured')
+    assert positions[:, 1].max() > 1e3 * Rig().layer.thickness
 
 
-def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -> None:
-    twin = TwinMessages(engine__motion='measured')
-    twin.measure(duration=0.1, noise=2e-6)
-    for node, task, values in (
-        ('/twin', 'measurement', {'samples': 500, 'samples_jumped': 7}),
-        ('/twin', 'timing', {'ticks': 1000}),
-        ('/calibrator', 'identification', {'outliers': 9, 'warning 1': 'a doubt'}),
-        ('/other/calibrator', 'identification', {'warning 1': 'another'}),
-    ):
-        twin.diagnose(node, task, f'{task} of 7.30 +- 0.02', values)
-    recording, _ = record(tmp_path / 'scene.rrd', twin.messages)
-    results = [result for outputs in twin.outputs for result in outputs.results]
-    (accuracy,) = [item.accuracy for item in results if item.stage == 'release']
+def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(measured) -> None:
+    twin, recording = measured
+    (accuracy,) = [result.accuracy for result in twin.results('release')]
     text = recording.last('/twin/throw_result', 'TextDocument:text')[0]
     (cell,) = [row[1] for row in table_of(text) if row[0].startswith('energy transfer')]
     alpha, error = map(float, cell.split(' ± '))
@@ -200,14 +196,16 @@ def test_errors_of_a_measured_throw_and_notes_on_its_track_are_shown(tmp_path) -
 @pytest.mark.slow
 @settings(max_examples=10, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())
-def test_damaged_messages_are_counted_and_others_are_shown(twin, path, data) -> None:
+def test_damaged_messages_are_counted_and_others_are_shown(
+    twin, tmp_path_factory, data
+) -> None:
     messages = list(twin.messages[:60])
     index = data.draw(st.integers(0, len(messages) - 1))
     messages[index] = messages[index]._replace(
         data=data.draw(datas(messages[index].data)),
         publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
     )
-    recording, scene = record(path.with_name('damaged.rrd'), messages)
+    recording, scene = record(tmp_path_factory.mktemp('damaged') / 'scene.rrd', messages)
     states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
     assert recording.rows['/twin/position'] >= states - 1
     assert scene.damaged <= 2

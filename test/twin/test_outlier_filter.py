@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from soft_throw_ros.twin.outlier_filter import OutlierFilter
+from soft_throw_ros.twin.sample_buffer import OutlierFilter
 from twin_runs import PLATE
 
 NOISE = 5e-6  # [m]

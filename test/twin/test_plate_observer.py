@@ -13,7 +13,8 @@ from scipy.linalg import expm
 from soft_throw_ros.twin.plate_observer import (
     AMPLITUDE_ERROR,
     PlateObserver,
-    ReleaseWeights,
+    pulse_of,
+    ReleaseResponse,
     UNMODELLED,
 )
 from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
@@ -29,14 +30,14 @@ CONFIG = replace(
 )
 OMEGA = PLATE.angular_frequency
 STEP = 1e-4
-NO_WEIGHTS = ReleaseWeights(np.zeros(1), np.zeros((3, 1)), 0.0)
+NO_RESPONSE = ReleaseResponse(np.zeros(1), np.zeros((3, 1)), 0.0)
 
 
 def observe(
-    heights: np.ndarray, weights: ReleaseWeights = NO_WEIGHTS, **changes
+    heights: np.ndarray, response: ReleaseResponse = NO_RESPONSE, **changes
 ) -> PlateObserver:
     """Observe heights above the rest, with a sample in each step after the start."""
-    observer = PlateObserver(replace(CONFIG, **changes), ONSET, weights)
+    observer = PlateObserver(replace(CONFIG, **changes), ONSET, response)
     samples = [
         Sample(BEGIN + (n + 1) * round(STEP * SECOND), 0.3 + height)
         for n, height in enumerate(heights.tolist())
@@ -70,11 +71,11 @@ def test_smoothed_states_and_errors_are_those_of_the_joint_distribution() -> Non
     random = np.random.default_rng(2)
     times = STEP * np.arange(1, used + 1)
     differences = NOISE * random.standard_normal(used) + 2e-5 * np.sin(500.0 * times)
-    # the speed at the last step, as the integral of the velocity with a step of the weights
+    # the release has the velocity of the plate at the last step
     axis = STEP * np.arange(count + 1)
-    ends = np.where(axis < axis[-1], 1.0, 0.0)
-    weights = ReleaseWeights(axis, np.array([ends, ends, ends]), axis[-1])
-    observer = observe(PLATE.position(times) + differences, weights)
+    velocities = pulse_of(PLATE, axis[-1] - axis)[:, 1]
+    response = ReleaseResponse(axis, np.array([velocities] * 3), axis[-1])
+    observer = observe(PLATE.position(times) + differences, response)
     measured = 3 * np.arange(1, used + 1)
     gain = covariance[:, measured] @ np.linalg.inv(
         covariance[np.ix_(measured, measured)] + NOISE**2 * np.eye(used)
@@ -89,9 +90,8 @@ def test_smoothed_states_and_errors_are_those_of_the_joint_distribution() -> Non
     np.testing.assert_allclose(states[on_grid, 0], expected[on_grid, 0], atol=1e-7)
     np.testing.assert_allclose(states[on_grid, 1], expected[on_grid, 1], atol=1e-4)
     left = covariance - gain @ covariance[measured]
-    rows = [3 * count - 2, 3 * count + 1]  # the velocities around the step of the weights
-    variance = left[np.ix_(rows, rows)].mean()
-    assert observer.errors(1.0, 1.0)[1] == pytest.approx(math.sqrt(variance), rel=0.05)
+    error = math.sqrt(left[3 * count + 1, 3 * count + 1])
+    assert observer.errors() == pytest.approx([error] * 3, rel=0.05)
 
 
 def test_plate_that_moves_in_another_way_is_followed() -> None:

@@ -11,18 +11,16 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import prepare
 from twin_runs import complete_settings, stroke
 
-CASES = [
-    {},
-    {'layer__loss_tangent': 0.05},
-    {'layer__stress_strain_law': 'neo_hookean'},
-]
-ANY_MODEL = pytest.mark.parametrize('request_', CASES, ids=lambda case: ' '.join(map(str, case)))
 
-
-@ANY_MODEL
-def test_throw_field_agrees_with_the_layer(request_) -> None:
-    prepared = prepare(complete_settings(**request_))
-    field, stepper = prepared.throw_field, prepared.stepper
+@pytest.mark.parametrize(
+    'request_',
+    [{}, {'layer__loss_tangent': 0.05}, {'layer__stress_strain_law': 'neo_hookean'}],
+    ids=' '.join,
+)
+def test_throw_field_and_energies_agree_with_the_throw(request_) -> None:
+    values = complete_settings(**request_)
+    prepared = prepare(values)
+    field, stepper, throw = prepared.throw_field, prepared.stepper, simulate(rig_of(values))
     spacing = prepared.rig.layer.thickness / 63
     for row in (0, 77, 199):
         stepper.reset()
@@ -30,14 +28,7 @@ def test_throw_field_agrees_with_the_layer(request_) -> None:
         layer = stepper.read_layer()
         rise = 0.5 * (field.strain[row, 1:] + field.strain[row, :-1])
         np.testing.assert_allclose(np.diff(layer[0]) / spacing - 1.0, rise, atol=2e-3)
-
-
-@ANY_MODEL
-def test_energies_end_at_the_release_of_a_simulation(request_) -> None:
-    values = complete_settings(**request_)
-    prepared = prepare(values)
-    throw = simulate(rig_of(values))
-    time, work, projectile, layer, total = prepared.throw_field.energies.T
+    time, work, projectile, layer, total = field.energies.T
     assert (time[0], work[0]) == (0.0, 0.0)
     np.testing.assert_allclose([projectile[0], total[0]], 0.0, atol=1e-9)
     np.testing.assert_allclose(projectile + layer, total, rtol=1e-12, atol=1e-15)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
@@ -262,43 +263,36 @@ def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
     field, release = fields[0][1], run.results('release')[0].first
     assert field.times[-1] == pytest.approx(1.5 * release.ejection_time)
     assert field.strain.shape == (field.times.size, 64)
-    assert field.strain.min() < -0.1  # the squeeze
-    free = field.strain[field.times > release.ejection_time + 1e-4, -1]
-    np.testing.assert_allclose(free, 0.0, atol=1e-4)
 
 
 # changes
 
 
-def test_changes_of_the_rig_take_effect_together_at_the_next_throw() -> None:
+@pytest.mark.parametrize(
+    'changes',
+    [{'layer.thickness': 0.01, 'projectile.mass': 2e-3, 'engine.amplitude': 1e-3},
+     {'layer.loss_tangent': 0.1}, {'gravity': 5.0}, {'measured.latency': 1e-3},
+     {'rate.field': 20.0}, {'time_scale': 0.5}],
+)
+@pytest.mark.parametrize('ends', ['reset', 'period'])
+def test_changes_of_rig_measurement_or_rate_wait_beside_one_that_is_effective(
+    changes, ends
+) -> None:
     run = Run()
     run.go(1200)
-    changes = {'layer.thickness': 0.01, 'projectile.mass': 2e-3, 'engine.amplitude': 1e-3}
     for name, value in changes.items():
-        run.session.change({name: value})
+        run.session.change({name: value, 'throw.max_events': 3})
     assert run.session.pending == changes
-    run.go(1000)
-    before, after = run.entries('throw')
+    if ends == 'reset':
+        run.session.reset()
+        assert run.session.pending == {}
+    run.go(2200)
+    before, after, *_ = run.entries('throw')
     assert run.session.pending == {}
-    assert before['settings']['layer.thickness'] == 0.0168
-    assert changes.items() <= after['settings'].items()
-    assert run.results('release')[1].rig.layer.thickness == 0.01
-
-
-@pytest.mark.parametrize(
-    ('name', 'value'),
-    [('gravity', 5.0), ('layer.loss_tangent', 0.1), ('engine.amplitude', 1e-3),
-     ('measured.latency', 1e-3), ('rate.field', 20.0), ('time_scale', 0.5)],
-)
-def test_change_of_rig_measurement_or_rate_waits_beside_one_that_is_effective(name, value) -> None:
-    run = Run()
-    run.session.change({name: value, 'throw.period': 0.3})
-    assert run.session.pending == {name: value}
-    run.session.reset()
-    assert run.session.pending == {}
-    run.go(700)
-    assert run.starts()[0] == round(300 / run.session.time_scale)
-    assert run.entries('throw')[0]['settings'][name] == value
+    assert not changes.items() & before['settings'].items()
+    assert {**changes, 'throw.max_events': 3}.items() <= after['settings'].items()
+    first, second = (result.rig for result in run.results('release')[:2])
+    assert (first == second) == (rig_of(before['settings']) == rig_of(after['settings']))
 
 
 def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> None:
