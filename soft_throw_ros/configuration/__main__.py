@@ -49,16 +49,13 @@ Written from the tables by `{_COMMAND}`.
 def documents() -> dict[str, str]:
     """Return the text of every generated file by its path."""
     title = f'The parameters of the {{}}, here the defaults. SI units.\nWritten by {_COMMAND}.'
-    return {
-        'docs/parameters.md': '\n'.join(_parameters_page()),
-        'docs/topics.md': '\n'.join(_topics_page()),
-        **{
-            f'config/{table.node}.yaml': render(
-                table.defaults(), table=table, title=title.format(table.node)
-            )
-            for table in (TWIN, RECORDER)
-        },
+    files = {
+        f'config/{table.node}.yaml':
+            render(table.defaults(), table=table, title=title.format(table.node))
+        for table in (TWIN, RECORDER)
     }
+    pages = {'parameters': _parameters_page(), 'topics': _topics_page()}
+    return {**files, **{f'docs/{name}.md': '\n'.join(page) for name, page in pages.items()}}
 
 
 def _parameters_page() -> Iterator[str]:
@@ -91,10 +88,8 @@ def _topics_page() -> Iterator[str]:
         effects = [
             (f'`{item.name}`', item.type.replace('/srv/', '/'), item.meaning) for item in services
         ]
-        yield from _section(
-            node, shared, (('topic', 'type', 'content', 'queue'), rows),
-            (('service', 'type', 'effect'), effects),
-        )
+        content = ('topic', 'type', 'content', 'queue'), rows
+        yield from _section(node, shared, content, (('service', 'type', 'effect'), effects))
 
 
 def _name_of(topic: Topic) -> str:

@@ -135,15 +135,16 @@ def _find_columns(
     sources: dict[str, tuple[int, float]] = {}
     for index, (label, stated) in enumerate(map(parse_label, cells)):
         for key, column in columns.items():
-            if label in column.labels:
-                if key in sources:
-                    again = quote(cells[index])
-                    raise ValueError(f'{where}: {key} must be there once, got {again} too')
-                unit = stated or column.default_unit
-                if unit not in column.units:
-                    rule = f'{key} must be in {" or ".join(column.units)}'
-                    raise ValueError(f'{where}: {rule}, got {quote(cells[index])}')
-                sources[key] = index, column.units[unit]
+            if label not in column.labels:
+                continue
+            if key in sources:
+                rule = f'{key} must be there once, got {quote(cells[index])} too'
+                raise ValueError(f'{where}: {rule}')
+            unit = stated or column.default_unit
+            if unit not in column.units:
+                rule = f'{key} must be in {" or ".join(column.units)}'
+                raise ValueError(f'{where}: {rule}, got {quote(cells[index])}')
+            sources[key] = index, column.units[unit]
     for key in list(columns)[:2]:
         if key not in sources:
             raise ValueError(

@@ -104,20 +104,18 @@ def write_stack(sheets: Iterable[Layer]) -> str:
 def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]]) -> Layer:
     """Read a sheet of a stack."""
     values: Sequence[Any] = words[1:]
+    names = ('wave_speed', 'density', 'loss_tangent')
     if len(words) == 2 and number_of(words[1]) is None:
         known = materials()
         if words[1] not in known:
-            raise ParameterError(
-                f'no material is named {quote(words[1])}; there are {", ".join(known)}'
-            )
-        material = known[words[1]]
-        values = material.wave_speed, material.density, material.loss_tangent
+            there = f'there are {", ".join(known)}'
+            raise ParameterError(f'no material is named {quote(words[1])}; {there}')
+        values = [getattr(known[words[1]], name) for name in names]
     elif len(words) not in (3, 4):
         raise ParameterError(
             'a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY [LOSS_TANGENT], '
             f'got {quote(" ".join(words))}'
         )
-    names = ('wave_speed', 'density', 'loss_tangent')
     return Layer(
         thickness=_bounded('thickness', words[0], low=_THINNEST_SHEET),
         **{name: _bounded(name, value) for name, value in zip(names, values, strict=False)},
@@ -139,10 +137,9 @@ def library(path: str | Path = '') -> Library:
     try:
         changed_ns = Path(path).stat().st_mtime_ns if path else 0
         return _library(str(path), changed_ns)
-    except OSError as error:
-        raise ParameterError(f'{path}: {error.strerror}', 'layer.library') from None
-    except ParameterError as error:
-        raise ParameterError(str(error), 'layer.library') from None
+    except (OSError, ParameterError) as error:
+        reason = f'{path}: {error.strerror}' if isinstance(error, OSError) else str(error)
+        raise ParameterError(reason, 'layer.library') from None
 
 
 @lru_cache(maxsize=8)
@@ -211,12 +208,8 @@ def _material(name: str, values: Mapping[str, Any]) -> Material:
     if 'youngs_modulus' in numbers:
         speed = math.sqrt(numbers.pop('youngs_modulus') / numbers['density'])
         numbers['wave_speed'] = _bounded('wave_speed', speed)
-    thicknesses = values.get('thicknesses', [])
-    if not isinstance(thicknesses, list):
-        raise ParameterError(f'thicknesses must be a list, got {quote(thicknesses)}')
-    return Material(
-        name=name,
-        thicknesses=tuple(_bounded('thickness', item) for item in thicknesses),
-        is_ideal=values.get('is_ideal') is True,
-        **numbers,
-    )
+    if not isinstance(sizes := values.get('thicknesses', []), list):
+        raise ParameterError(f'thicknesses must be a list, got {quote(sizes)}')
+    thicknesses = tuple(_bounded('thickness', item) for item in sizes)
+    is_ideal = values.get('is_ideal') is True
+    return Material(name=name, thicknesses=thicknesses, is_ideal=is_ideal, **numbers)

@@ -68,11 +68,10 @@ def _read(name: str, _changed_ns: int) -> SampledMotion:
     try:
         text = read_regular_file(name, max_bytes=_MAX_BYTES).decode('utf-8-sig')
         return _motion(read_columns(text.splitlines(), name, _COLUMNS))
-    except UnicodeDecodeError:
-        raise ParameterError(f'{name}: is no UTF-8 text', PARAMETER) from None
     except ValueError as error:
-        place = f'{name}: ' * (not str(error).startswith(f'{name}:'))
-        raise ParameterError(f'{place}{error}', PARAMETER) from None
+        reason = 'is no UTF-8 text' if isinstance(error, UnicodeDecodeError) else str(error)
+        place = f'{name}: ' * (not reason.startswith(f'{name}:'))
+        raise ParameterError(f'{place}{reason}', PARAMETER) from None
 
 
 def _motion(columns: Mapping[str, Floats]) -> SampledMotion:

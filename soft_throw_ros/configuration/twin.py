@@ -8,25 +8,10 @@ from dataclasses import fields, replace
 import math
 from typing import Any
 
-from soft_throw_ros.configuration import motions
+from soft_throw_ros.configuration import layers, motions
 from soft_throw_ros.configuration.interface import JOINTS
-from soft_throw_ros.configuration.layers import (
-    BOUNDS,
-    CUSTOM,
-    library,
-    read_stack,
-    stack_values,
-    STACKED,
-    write_stack,
-)
-from soft_throw_ros.configuration.table import (
-    ParameterError,
-    quote,
-    row,
-    Scalar,
-    Settings,
-    Table,
-)
+from soft_throw_ros.configuration.layers import BOUNDS, CUSTOM, library, STACKED
+from soft_throw_ros.configuration.table import ParameterError, quote, row, Scalar, Settings, Table
 from soft_throw_ros.core.material import LOSSES, STRESS_STRAIN_LAWS
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
@@ -180,13 +165,13 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     """
     after = {**settings, name: value}
     if name == 'layer.name' and value != CUSTOM:
-        layers = library(settings['layer.library']).layers
-        if value not in layers:
-            rule = f'must be one of {", ".join(layers)} or {CUSTOM!r}'
+        known = library(settings['layer.library']).layers
+        if value not in known:
+            rule = f'must be one of {", ".join(known)} or {CUSTOM!r}'
             raise ParameterError(f'{name} {rule}, got {quote(value)}', name)
-        return layers[value]
+        return known[value]
     if name == 'layer.stack' and value:
-        numbers = stack_values(value, lambda: library(after['layer.library']).materials)
+        numbers = layers.stack_values(value, lambda: library(after['layer.library']).materials)
         return {**numbers, **_custom_layer({**after, **numbers})}
     if name == motions.PARAMETER:
         if value:
@@ -277,7 +262,7 @@ def layer_of(settings: Settings) -> Layer:
     if not settings['layer.stack']:
         return layer
     # journals of 0.2 may name installed materials
-    sheets = read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
+    sheets = layers.read_stack(str(settings['layer.stack']), lambda: _INSTALLED.materials)
     shared = {name: getattr(layer, name) for name in ('diameter', 'stress_strain_law', 'loss')}
     return replace(Layer.of_sheets(sheets), **shared)
 
@@ -298,7 +283,7 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
         for group in ('engine', 'layer', 'projectile')
         for name, value in vars(getattr(rig, group)).items() if name not in ('motion', 'parts')
     }
-    stack = write_stack(rig.layer.parts) if rig.layer.parts else ''
+    stack = layers.write_stack(rig.layer.parts) if rig.layer.parts else ''
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
 
 

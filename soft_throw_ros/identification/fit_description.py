@@ -27,7 +27,8 @@ LAYER = ('layer.wave_speed', 'layer.thickness', LOSS)
 PARAMETERS = (*ENGINE, *LAYER, 'layer.density', 'layer.diameter', 'projectile.mass')
 """Parameters of a rig that can be fitted, by their names in the twin."""
 
-OWN = START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+START, PLATE_ZERO, PROJECTILE_ZERO = 'start_time', 'plate_offset', 'projectile_offset'
+OWN = (START, PLATE_ZERO, PROJECTILE_ZERO)
 """Parameters of each throw: the time of its start, and the heights of its bodies at rest."""
 
 DEFAULT_IS_ANOTHER_RIG = tuple(name for name in PARAMETERS if name != LOSS)
@@ -92,7 +93,7 @@ IDEAL_BENCH: Mapping[str, Treatment] = {
 class FitDescription:
     """The treatments of all parameters of a fit; raise ValueError for an unknown name."""
 
-    parameters: Mapping[str, Treatment] = field(default_factory=dict)  # others have `DEFAULTS`
+    parameters: Mapping[str, Treatment] = field(default_factory=dict)  # the others: `DEFAULTS`
     topic: str | None = None  # topic to read from bags; needed if several topics have a plate
     assumed: tuple[str, ...] = ()  # held at the values of another rig, as nobody stated them
 
@@ -120,10 +121,10 @@ class FitDescription:
 
     def assume(self, stated: Collection[str]) -> FitDescription:
         """Hold the parameters that a fit needs and that nobody stated, see `assumed`."""
-        unstated = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in stated]
+        treatments = {name: self.treatment(name) for name in DEFAULT_IS_ANOTHER_RIG}
         assumed = tuple(
-            name for name, treatment in zip(unstated, map(self.treatment, unstated), strict=True)
-            if treatment.value is None and not treatment.is_free
+            name for name, item in treatments.items()
+            if name not in stated and item.value is None and not item.is_free
         )
         return replace(self.change(dict.fromkeys(assumed, FIXED)), assumed=assumed)
 

@@ -51,9 +51,7 @@ def fit_plate(track: Track) -> Fit:
     def position(values: Floats, time: Floats) -> Floats:
         frequency, damping_ratio, amplitude, start_time, offset = (values + origin).tolist()
         amplitude = max(amplitude, 1e-15)  # may touch 0 during the search
-        motion = Underdamped(
-            frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude
-        )
+        motion = Underdamped(frequency=frequency, damping_ratio=damping_ratio, amplitude=amplitude)
         return np.asarray(offset + motion.position(time - start_time))
 
     earliest, latest = track.time[0] - track.duration - start[3], track.time[-1] - start[3]

@@ -9,13 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from soft_throw_ros.configuration.csv_rows import Column, parse_label, read_columns, read_rows
 from soft_throw_ros.configuration.table import float_of
-from soft_throw_ros.identification.tracks import (
-    FEWEST,
-    MAX_HEIGHT,
-    MAX_TIME,
-    Track,
-    TrackError,
-)
+from soft_throw_ros.identification.tracks import FEWEST, MAX_HEIGHT, MAX_TIME, Track, TrackError
 
 UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}
 """Units of height. [m]"""

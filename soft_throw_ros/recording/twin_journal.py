@@ -98,7 +98,7 @@ class TwinJournal:
             stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
             rest_heights = onset.rest.plate, onset.rest.projectile
         else:
-            stamp = journal.decode_schedule(entry['schedule']).deadline(entry['step'])
+            stamp = journal.decode_schedule(entry).deadline(entry['step'])
             clock_offset, rest_heights = self.clock_offset_ns, None
         self._take_effect(entry)
         self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights

@@ -27,12 +27,10 @@ DATA = Path(__file__).parents[1] / 'data'
 
 def _measure(time, plate, projectile, *, noise=2e-5, seed=0) -> ThrowTracks:
     """Return tracks of two bodies: their heights with noise."""
-    rng = np.random.default_rng(seed)
-    tracks = [
-        Track(time=time, position=height + noise * rng.normal(size=time.size))
-        for height in (plate, projectile)
-    ]
-    return ThrowTracks(name='simulated', plate=tracks[0], projectile=tracks[1])
+    heights = np.stack([plate, projectile])
+    heights += noise * np.random.default_rng(seed).normal(size=heights.shape)
+    below, above = (Track(time=time, position=height) for height in heights)
+    return ThrowTracks(name='simulated', plate=below, projectile=above)
 
 
 def _make_throw(
@@ -73,10 +71,8 @@ def fits() -> dict[tuple[str, float], tuple[Rig, RigFit]]:
             rig, rate=3000.0, duration=0.02 + 3.5 / rig.engine.frequency, noise=noise,
             zeros=(0.3, -0.2),
         )
-        known = replace(
-            rig, engine=Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5),
-            layer=replace(rig.layer, wave_speed=50.0),
-        )
+        far = Engine(frequency=10.0, amplitude=1.0, damping_ratio=0.5)
+        known = replace(rig, engine=far, layer=replace(rig.layer, wave_speed=50.0))
         found[name, noise] = rig, fit_rig([throw], known)
     return found
 
@@ -100,6 +96,5 @@ def make_model() -> Callable[..., RigModel]:
 def reference_throw() -> ThrowTracks:
     """Return the 5 kHz reference tracks with 20 um of noise, whose best fits are known."""
     with (DATA / 'reference_tracks.csv').open() as file:
-        return ThrowTracks(
-            name='reference', **read_csv(file, 'reference', ('plate', 'projectile'))
-        )
+        tracks = read_csv(file, 'reference', ('plate', 'projectile'))
+    return ThrowTracks(name='reference', **tracks)

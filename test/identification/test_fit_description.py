@@ -8,6 +8,7 @@ import pytest
 from soft_throw_ros.core.rig import Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
+    DEFAULTS,
     FitDescription,
     FIXED,
     FREE,
@@ -24,6 +25,7 @@ RIG = Rig(layer=Layer(thickness=0.02), projectile=Projectile(mass=1e-3))
     [
         (FREE, None, 0.02),
         (FIXED, None, 0.02),
+        (DEFAULTS['layer.thickness'], Estimate(0.02, 1e-4), 0.02),  # of the paper
         (Treatment(False, 0.012), None, 0.012),
         (Treatment(True, 0.012, 1e-4), Estimate(0.012, 1e-4), 0.012),
         (Treatment(True, None, 1e-4), Estimate(0.02, 1e-4), 0.02),

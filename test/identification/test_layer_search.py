@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import FitDescription, FREE, IDEAL_BENCH
-from soft_throw_ros.identification.layer_search import (
-    find_best_minimum,
-    find_layers,
-    MAX_EXCESS,
-)
+from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers, MAX_EXCESS
 from soft_throw_ros.identification.least_squares import Fit, fit_warnings
 
 IDEAL = FitDescription(IDEAL_BENCH)

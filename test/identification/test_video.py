@@ -11,31 +11,24 @@ from soft_throw_ros.identification.video import camera_rate, read_pictures
 
 imageio = pytest.importorskip('imageio.v3', reason='comes with the extra [video]')
 pytest.importorskip('av', reason='comes with the extra [video]')
-STACK = np.random.default_rng(0).integers(0, 4096, size=(5, 12, 16)).astype('<u2')
-"""Pictures of a camera with 12 bits."""
+STACK = np.random.default_rng(0).integers(0, 4096, size=(5, 12, 16)).astype('<u2')  # of 12 bits
 
 
 def phantom_file(path, pictures, *, rate):
     """Write pictures as Phantom cameras do, after Vision Research's description of the format."""
     count, rows, columns = pictures.shape
-    size = pictures[0].nbytes
+    size, bits = pictures[0].nbytes, 8 * pictures.itemsize
     setup = bytearray(0x163C + 8)
     setup[140:144] = b'ST' + (0x163C).to_bytes(2, 'little')  # length of the setup block
-
-    def put(place, value):
-        setup[place:place + 4] = value.to_bytes(4, 'little')
-
-    put(768, rate)
-    put(892, 8 * pictures.itemsize)  # bits that are real
-    header = b'CI' + np.array([44, 0, 1], '<u2').tobytes()
-    first = 44 + 40 + len(setup) + 8 * count
-    header += np.array([0, count, 0, count, 44, 84, 84 + len(setup), 0, 0], '<u4').tobytes()
-    bitmap = np.array([40, columns, rows, 1 + (8 * pictures.itemsize << 16), 0, size], '<u4')
-    bitmap = bitmap.tobytes() + bytes(16)
+    struct.pack_into('<I', setup, 768, rate)
+    struct.pack_into('<I', setup, 892, bits)  # bits that are real
+    first = 84 + len(setup) + 8 * count
+    header = struct.pack('<2s3H9I', b'CI', 44, 0, 1, 0, count, 0, count, 44, 84, first - 8 * count,
+                         0, 0)
+    bitmap = struct.pack('<6I16x', 40, columns, rows, 1 + (bits << 16), 0, size)
     places = first + (8 + size) * np.arange(count, dtype='<i8')
-    annotation = np.array([8, size], '<u4').tobytes()
-    images = b''.join(annotation + picture[::-1].tobytes() for picture in pictures)
-    path.write_bytes(header + bitmap + bytes(setup) + places.tobytes() + images)
+    images = (struct.pack('<2I', 8, size) + picture[::-1].tobytes() for picture in pictures)
+    path.write_bytes(header + bitmap + bytes(setup) + places.tobytes() + b''.join(images))
     return path
 
 
@@ -45,16 +38,13 @@ def test_cine_of_a_phantom_is_read_with_all_its_bits_and_its_rate(tmp_path):
     assert camera_rate(str(path)) == pytest.approx(7000.0)
 
 
-@pytest.mark.parametrize('name', ['stack.tif', 'shot_{}.png'])
-def test_pictures_are_read_with_all_their_bits(tmp_path, name):
-    folder = tmp_path / 'shots'
-    folder.mkdir()
-    if '{}' in name:
-        for number in (0, 1, 2, 3, 4):
-            imageio.imwrite(folder / name.format(3 * number), STACK[number])
-    else:
-        imageio.imwrite(folder / name, STACK)
-    np.testing.assert_array_equal(list(read_pictures(str(folder))), STACK)
+@pytest.mark.parametrize(
+    'files', [{'stack.tif': STACK}, {f'shot_{3 * n}.png': STACK[n] for n in range(len(STACK))}]
+)
+def test_pictures_are_read_with_all_their_bits(tmp_path, files):
+    for name, content in files.items():
+        imageio.imwrite(tmp_path / name, content)
+    np.testing.assert_array_equal(list(read_pictures(str(tmp_path))), STACK)
 
 
 @pytest.mark.parametrize(
