@@ -38,19 +38,8 @@ def main(args: list[str] | None = None) -> int | None:
     """
     Run the executable named by the first argument with the other arguments.
 
-    The module is imported only then, so commands that do not need ROS run without it.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Name of the executable and its arguments; those of the process by default.
-
-    Returns
-    -------
-    int or None
-        Exit code of the executable; 2 if the name is unknown, 1 if a required module is not
-        installed.
-
+    The module is imported only then, so commands that do not need ROS run without it. The exit
+    code is 2 if the name is unknown, and 1 if a required module is not installed.
     """
     name, *arguments = (sys.argv[1:] if args is None else args) or ['--help']
     if name in {'-h', '--help'}:

@@ -8,31 +8,16 @@ import re
 from xml.etree import ElementTree as ET
 
 import pytest
-from soft_throw_ros.configuration.interface import (
-    ARRAY,
-    JOINT_STATE,
-    resolve,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import ARRAY, JOINT_STATE, resolve, TWIN_TOPICS
 import yaml
 
 CONFIG = Path(__file__).parents[1] / 'config'
 TOPICS = {resolve(topic.name, '/twin'): topic for topic in TWIN_TOPICS}
 
 
-def foxglove_paths():
-    layout = json.loads((CONFIG / 'foxglove.json').read_text())
-    panels = layout['configById'].values()
-    return [path['value'] for panel in panels for path in panel.get('paths', [])]
-
-
-def plotjuggler_curves():
-    root = ET.parse(CONFIG / 'plotjuggler.xml')
-    return [curve.get('name') for curve in root.iter('curve')]
-
-
 def test_foxglove_plots_topics_of_the_twin(result_keys):
-    for path in foxglove_paths():
+    panels = json.loads((CONFIG / 'foxglove.json').read_text())['configById'].values()
+    for path in [path['value'] for panel in panels for path in panel.get('paths', [])]:
         name, rest = re.fullmatch(r'([\w/]+)\.(.*)', path).groups()
         topic = TOPICS[name]
         if topic.type == JOINT_STATE:
@@ -46,7 +31,8 @@ def test_foxglove_plots_topics_of_the_twin(result_keys):
 
 
 def test_plotjuggler_plots_topics_of_the_twin(result_keys):
-    for curve in plotjuggler_curves():
+    root = ET.parse(CONFIG / 'plotjuggler.xml')
+    for curve in [curve.get('name') for curve in root.iter('curve')]:
         name = max((name for name in TOPICS if curve.startswith(f'{name}/')), key=len)
         topic, rest = TOPICS[name], curve.removeprefix(f'{name}/')
         if topic.type == JOINT_STATE:

@@ -41,20 +41,20 @@ def test_umbrella_forwards_arguments_and_exit_code(echo, args, expected):
     assert echo == [(['soft-throw echo', *expected], expected)]
 
 
-def test_umbrella_names_the_remedy_for_nodes_without_ros(capsys, monkeypatch):
-    monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_package.nodes.lost', ''))
-    assert umbrella.main(['lost']) == 1
-    assert 'ROS 2' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(('name', 'code'), [('trow', 2), ('lost', 1)])
-def test_umbrella_names_an_unknown_executable_in_one_line(capsys, monkeypatch, name, code):
-    monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', ('no_such_module', ''))
+@pytest.mark.parametrize(
+    ('name', 'module', 'code', 'text'),
+    [('trow', 'no_such_module', 2, 'choose from'), ('lost', 'no_such_module', 1, 'no_such_module'),
+     ('lost', 'no_such_package.nodes.lost', 1, 'ROS 2')],
+)
+def test_umbrella_names_a_missing_executable_in_one_line(
+    capsys, monkeypatch, name, module, code, text
+):
+    monkeypatch.setitem(umbrella.EXECUTABLES, 'lost', (module, ''))
     assert umbrella.main([name]) == code
     out, err = capsys.readouterr()
-    assert out == ''
-    assert err.count('\n') == 1
+    assert (out, err.count('\n')) == ('', 1)
     assert name in err
+    assert text in err
 
 
 @pytest.mark.parametrize(('module', 'code'), [('package.nodes.echo', 0), ('echo', 130)])

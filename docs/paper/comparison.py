@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+import itertools
 import math
 from typing import NamedTuple
 
@@ -65,10 +66,7 @@ def update_page(page: str) -> str:
 
 def published() -> Iterator[Row]:
     """Compute all quantities that the paper gives."""
-    yield from _optimum()
-    yield from _thin_and_thick()
-    yield from _limits()
-    yield from _rig()
+    return itertools.chain(_optimum(), _thin_and_thick(), _limits(), _rig())
 
 
 def optima() -> Iterator[tuple[str, str]]:

@@ -9,7 +9,6 @@ import math
 from matplotlib.figure import Figure
 from models import DAMPING_RATIO, THICKNESSES
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer
 from soft_throw_ros.design.uncertainty import Uncertainties
@@ -17,25 +16,11 @@ from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED
 
-Floats = NDArray[np.float64]
-
 SLOPE, SLOPE_ERROR = 0.256, 0.008
 """Slope of T_0 over L_s and its error, printed without a unit, which can only be this. [s/m]"""
 
 NOISE, RATE = 20e-6, 5000.0
 """Standard deviation of a measured height of the plate [m], and frame rate of the camera [Hz]."""
-
-
-def ringing(time: Floats, period: float, *, loss_tangent: float = 0.02) -> Floats:
-    """
-    Return the length of a free layer after a uniform stretch of 1.
-
-    The loss is that of Kelvin and Voigt, so that the n-th mode decays n^2 times as fast.
-    """
-    odd = np.arange(1.0, 40.0, 2.0)
-    phase = 2.0 * math.pi * time[:, None] / period
-    decay = np.exp(-0.5 * loss_tangent * odd**2 * phase)
-    return np.asarray((8.0 / (math.pi * odd) ** 2 * np.cos(odd * phase) * decay).sum(axis=1))
 
 
 def draw_free_layers() -> Figure:
@@ -48,11 +33,15 @@ def draw_free_layers() -> Figure:
         height=4.4, width_ratios=(1.15, 1.0),
     )
     speed = Layer().wave_speed
-    time = np.linspace(0.0, 22e-3, 1200)
+    time, loss_tangent = np.linspace(0.0, 22e-3, 1200), 0.02
+    odd = np.arange(1.0, 40.0, 2.0)  # modes; by Kelvin and Voigt they decay n^2 times as fast
     for thickness, color in zip(THICKNESSES[[1, 3, 5]], (BLUE, ORANGE, GREEN), strict=True):
         period = 2.0 * thickness / speed
+        phase = 2.0 * math.pi * time[:, None] / period
+        decay = np.exp(-0.5 * loss_tangent * odd**2 * phase)
+        length = (8.0 / (math.pi * odd) ** 2 * np.cos(odd * phase) * decay).sum(axis=1)
         label = f'$L_s$ = {MILLI * thickness:.1f} mm'
-        panels[0].plot(MILLI * time, ringing(time, period), color=color, label=label)
+        panels[0].plot(MILLI * time, length, color=color, label=label)
         panels[0].plot(MILLI * period, 1.12, 'v', color=color, ms=6)
     panels[0].text(0.3, 1.22, 'one period $T_0$:', va='bottom')
     panels[0].set(title='(a) ringing', xlabel='time $t$ (ms)', ylabel='stretch over first stretch',

@@ -12,22 +12,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigvalsh_tridiagonal
-from scipy.optimize import brentq, minimize
-from soft_throw_ros.core.closed_form import first_releases, FirstRelease
+from scipy.optimize import minimize, minimize_scalar
+from soft_throw_ros.core.closed_form import first_releases, FirstRelease, spring_release
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import throw_many, Throws
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
 Floats = NDArray[np.float64]
 
-THICKNESSES: Floats = np.array([2.0, 5.6, 9.5, 16.8, 23.4, 29.1]) * 1e-3
-"""Thicknesses of the layers. [m]"""
-
-DAMPING_RATIO = 0.064
-"""Damping ratio of the plate (App. D). [-]"""
-
-PROJECTILE_DENSITY = 1300.0
-"""Density of the projectiles. [kg/m3]"""
+THICKNESSES: Floats = np.array([2.0, 5.6, 9.5, 16.8, 23.4, 29.1]) * 1e-3  # of the layers [m]
+DAMPING_RATIO = 0.064  # of the plate (App. D) [-]
+PROJECTILE_DENSITY = 1300.0  # [kg/m3]
 
 
 def releases_at(x: ArrayLike, c: ArrayLike, *, damping_ratio: float = 0.0) -> FirstRelease:
@@ -134,14 +129,13 @@ def period_of_free_layer(cells: int) -> float:
 
 
 def best_frequency_ratio() -> float:
-    """Return the best frequency ratio f_0 / f of a massless spring, from Eq. (A4)."""
+    """Return the frequency ratio f_0 / f of the massless spring that transfers most energy."""
 
-    def slope(q: float) -> float:
-        """Return the logarithmic derivative of the speed."""
-        angle = 2.0 * math.pi / (q + 1.0)
-        return angle / (q + 1.0) / math.tan(angle) + 1.0 / (q * (q - 1.0))
+    def loss(ratio: float) -> float:
+        return -float(spring_release(frequency_ratio=ratio).energy_transfer)
 
-    return float(brentq(slope, 1.1, 2.9, xtol=1e-15))
+    result = minimize_scalar(loss, bounds=(1.1, 2.9), method='bounded', options={'xatol': 1e-9})
+    return float(result.x)
 
 
 def thick_layer(omega_tau: float) -> tuple[float, float]:

@@ -27,8 +27,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 Floats = NDArray[np.float64]
 
-MODULUS = 3.6e9
-"""Young's modulus of the projectile, E_r. [Pa]"""
+MODULUS = 3.6e9  # Young's modulus of the projectile, E_r [Pa]
 
 EXACT = (
     (2.0e-3, 0.25234398637936983, 1.5146422569913178, 1.514621268422948),

@@ -26,11 +26,8 @@ GREEN = '#009e73'
 RED = '#d55e00'
 SKY = '#56b4e9'
 
-WIDTH = 8.4
-"""Width of every figure: fills a page of GitHub at 150 dots per inch. [in]"""
-
-MILLI = 1e3
-"""Number of millimetres in a metre, and of milliseconds in a second."""
+WIDTH = 8.4  # of every figure: fills a page of GitHub at 150 dots per inch [in]
+MILLI = 1e3  # millimetres in a metre, and milliseconds in a second
 
 X_LABEL = '$x = L_s/(L_s+L_r)$'
 C_LABEL = '$C = c_s/(L_s+L_r)f$'
@@ -42,17 +39,10 @@ PAPER: dict[str, Any] = {
 """Marker of a number that the paper gives."""
 
 _SETTINGS: Any = {
-    'axes.axisbelow': True,
-    'axes.spines.right': False,
-    'axes.spines.top': False,
-    'axes.titlelocation': 'left',
-    'axes.titlesize': 'medium',
-    'font.size': 10.0,
-    'legend.fontsize': 9.0,
-    'legend.frameon': False,
-    'lines.linewidth': 1.6,
-    'mathtext.fontset': 'dejavusans',
-    'savefig.dpi': 150,
+    'axes.axisbelow': True, 'axes.spines.right': False, 'axes.spines.top': False,
+    'axes.titlelocation': 'left', 'axes.titlesize': 'medium', 'font.size': 10.0,
+    'legend.fontsize': 9.0, 'legend.frameon': False, 'lines.linewidth': 1.6,
+    'mathtext.fontset': 'dejavusans', 'savefig.dpi': 150,
 }
 
 

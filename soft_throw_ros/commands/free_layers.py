@@ -25,17 +25,11 @@ def main(args: list[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = CommandParser(description=__doc__, usage='%(prog)s [OPTION ...] M FILE [M FILE ...]')
     add = parser.add_argument
-    add(
-        'layers', metavar='M FILE', nargs='+',
-        help='thickness of a layer, and a CSV file with a time [s] and heights of bottom and top',
-    )
-    add(
-        '--thickness-error', metavar='M', type=options.not_negative, default=1e-4,
-        help='standard error of the thicknesses (default %(default)g)',
-    )
-    add(
-        '--output', metavar='FILE', type=options.new_file(), help='parameter file of the twin'
-    )
+    add('layers', metavar='M FILE', nargs='+',
+        help='thickness of a layer, and a CSV file with a time [s] and heights of bottom and top')
+    add('--thickness-error', metavar='M', type=options.not_negative, default=1e-4,
+        help='standard error of the thicknesses (default %(default)g)')
+    add('--output', metavar='FILE', type=options.new_file(), help='parameter file of the twin')
     parser.add_json_option()
     add_track_options(parser)
     options.add_rig_options(parser, options.MEASURED_PARAMETERS[1:])  # not the thickness

@@ -61,23 +61,17 @@ def _parser() -> CommandParser:
     add = parser.add_argument
     add('bag', metavar='BAG', help='a bag or an .mcap file')
     files = parser.add_mutually_exclusive_group()
-    files.add_argument(
-        '--save', metavar='FILE.rrd', type=new_file(),
-        help='write a recording of Rerun, show nothing',
-    )
-    files.add_argument(
-        '--screenshot', metavar='FILE.png', type=new_file(),
-        help='write a picture, open no window',
-    )
+    files.add_argument('--save', metavar='FILE.rrd', type=new_file(),
+                       help='write a recording of Rerun, show nothing')
+    files.add_argument('--screenshot', metavar='FILE.png', type=new_file(),
+                       help='write a picture, open no window')
     add('--size', metavar='WxH', type=_size, default='1600x1000',
         help='screenshot size in pixels (default %(default)s)')
     add('--throw', metavar='N', type=int,
         help='show this throw (default the last complete one with a release)')
-    add(
-        '--at', metavar='TIME', type=any_number,
+    add('--at', metavar='TIME', type=any_number,
         help='show it at this time of the rig since the throw started, in seconds '
-        '(default in the contact)',
-    )
+        '(default in the contact)')
     add('--port', type=_port, default=viewer.PORT,
         help='port of the viewer (default %(default)s)')
     return parser

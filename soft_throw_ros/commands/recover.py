@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
-from soft_throw_ros.recording.recovery import recover, Recovery
+from soft_throw_ros.recording.recovery import recover
 
 
 def main(args: list[str] | None = None) -> int:
@@ -30,13 +30,10 @@ def _run(arguments: argparse.Namespace) -> int:
     path = source.resolve()  # so that `.` has a name
     name = path.name if path.is_dir() else path.name.partition('.')[0]
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
-    print_lines(_lines(recovery))
-    return 1 if recovery.omitted else 0
-
-
-def _lines(recovery: Recovery) -> list[str]:
-    """Return a report of the recovered messages and of the omitted parts."""
     width = max(map(len, recovery.saved))
-    lines = [f'{recovery.target}: {recovery.message_count} messages recovered']
-    lines += [f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()]
-    return lines + [f'omitted: {part}' for part in recovery.omitted]
+    print_lines([
+        f'{recovery.target}: {recovery.message_count} messages recovered',
+        *(f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()),
+        *(f'omitted: {part}' for part in recovery.omitted),
+    ])
+    return 1 if recovery.omitted else 0

@@ -38,16 +38,10 @@ def _step(stepper: ModuleType, loss_tangent: float) -> None:
     stepper.warm_up()
 
 
-def _measure() -> None:
-    """Run the kernels that process samples of a plate once."""
-    for module in (sample_buffer, plate_observer):
-        module.warm_up()
-
-
 PARTS: dict[str, Callable[[], object]] = {
     'travelling_wave': lambda: _step(wave_stepper, 0.0),
     'design': lambda: solve_request(TWIN.defaults()),
-    'measured': _measure,
+    'measured': lambda: [module.warm_up() for module in (sample_buffer, plate_observer)],
     'cells': lambda: _step(cell_stepper, 0.1),
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""

@@ -16,7 +16,7 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
 from soft_throw_ros.design.recommendation import recommend, Recommendation
-from soft_throw_ros.design.score import Limits, peak, robust, versatile
+from soft_throw_ros.design.score import Limits, Objective, peak, robust, versatile
 from soft_throw_ros.design.uncertainty import Uncertainties
 
 RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
@@ -47,7 +47,7 @@ def solve_request(
             rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
         )
     masses, frequencies = request['masses'], request['frequencies']
-    objectives = {
+    objectives: dict[str, Objective] = {
         'peak': peak,
         'robust': partial(robust, uncertainties=uncertainties),
         'versatile': partial(versatile, masses=masses, frequencies=frequencies),

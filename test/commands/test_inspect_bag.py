@@ -35,8 +35,7 @@ def bag(twin, tmp_path_factory) -> Path:
 
 
 def test_picture_has_the_requested_size_and_shows_the_rig(capsys, bag, tmp_path) -> None:
-    image = pytest.importorskip('PIL.Image')
-    path = tmp_path / 'scene.png'
+    image, path = pytest.importorskip('PIL.Image'), tmp_path / 'scene.png'
     code = inspect_bag.main([str(bag), '--screenshot', str(path), '--size', '1500x1000'])
     printed = capsys.readouterr().err
     if 'mesa-vulkan-drivers' in printed:
@@ -82,11 +81,10 @@ def test_bag_without_a_twin_is_refused_in_one_line(command, tmp_path) -> None:
 
 
 def test_damaged_messages_are_named_and_a_damaged_bag_is_refused(command, twin, tmp_path) -> None:
+    sizes = [7 if 'phase_change' in each.channel.topic else None for each in twin.messages]
     messages = [
-        message._replace(data=message.data[:7])
-        if message.channel.topic.endswith('phase_change')
-        else message
-        for message in twin.messages
+        each._replace(data=each.data[:size])
+        for each, size in zip(twin.messages, sizes, strict=True)
     ]
     path = write(tmp_path / 'bag', messages, chunk=100) / 'bag_0.mcap'
     command.run(path, '--save', tmp_path / 'scene.rrd')

@@ -49,18 +49,11 @@ def throw_pictures():
     time = np.arange(0.0, 0.045, 1.0 / RATE) - START
     plate = Underdamped.of(RIG.engine).position(time)
     projectile = follow(RIG, until=time[-1]).projectile_position(time)
-    return [
-        picture(
-            (330, 44),
-            [
-                (315.3 - low / PIXEL, 21.7),
-                (300.2 - 0.5 * (low + high) / PIXEL, 22.4),
-                (270.1 - high / PIXEL, 22.1),
-            ],
-            rng,
-        )
-        for low, high in zip(plate, projectile, strict=True)
+    spots = [
+        ((315.3 - low, 21.7), (300.2 - 0.5 * (low + high), 22.4), (270.1 - high, 22.1))
+        for low, high in zip(plate / PIXEL, projectile / PIXEL, strict=True)
     ]
+    return [picture((330, 44), centres, rng) for centres in spots]
 
 
 @pytest.fixture(scope='module')
@@ -73,9 +66,9 @@ def test_video_gives_the_filmed_rig(command, capsys, throw_video, tmp_path):
     assert command.run(throw_video, *AS_TAKEN, '--output', tracks, '--overlay', overlay) == ''
     assert overlay.stat().st_size > 1000
     assert command.err == ''
-    *_, head, _ = lines = tracks.read_text().splitlines()[:4]
+    first, _, head, *_ = tracks.read_text().splitlines()
     assert head == 't [s],plate [m],layer 1 [m],projectile [m]'
-    assert '4000 pictures per second, 120 pixels are 0.012 m' in lines[0]
+    assert '4000 pictures per second, 120 pixels are 0.012 m' in first
     # The layer is of a known thickness and does not stiffen; one camera has seen both bodies
     assert identify.main([str(tracks), '--thickness', '12e-3', '--one-camera', '--json']) == 0
     result = json.loads(capsys.readouterr().out)
@@ -97,16 +90,14 @@ def test_video_gives_the_filmed_rig(command, capsys, throw_video, tmp_path):
 def test_folder_of_pictures_gives_tracks_without_the_covered_spot(
     command, throw_pictures, tmp_path
 ):
-    folder = tmp_path / 'shots'
-    folder.mkdir()
-    (folder / 'notes.txt').write_text('no picture')
+    (tmp_path / 'notes.txt').write_text('no picture')
     for number, each in enumerate(throw_pictures[:80]):
         levels = each.copy()
         if 30 <= number < 40:
             levels[230:250] = 60  # covers the spot on the layer
         colours = np.stack([levels] * 3, axis=-1)
-        imageio.imwrite(folder / f'shot_{number}.png', colours if number % 2 else levels)
-    tracks = command.run(folder, *AS_TAKEN)
+        imageio.imwrite(tmp_path / f'shot_{number}.png', colours if number % 2 else levels)
+    tracks = command.run(tmp_path, *AS_TAKEN)
     found = re.search(r'spot at column 22 row 240 is not seen in pictures (\d+) to', command.err)
     assert int(found[1]) <= 30
     assert found[0] in tracks
@@ -128,10 +119,9 @@ def test_impossible_rate_is_refused(command, throw_video):
 
 
 def test_early_loss_of_the_plate_is_not_explained_by_the_rate(command, throw_pictures, tmp_path):
-    dark = [each if number < 60 else each // 9 for number, each in enumerate(throw_pictures)]
-    dark[60:] = [np.clip(each, 0, 12) for each in dark[60:]]
-    message = command.refused(write_video(tmp_path / 'dark.avi', dark), *AS_TAKEN)
-    assert 'of 180 pictures only' in message
+    dark = [np.clip(each // 9, 0, 12) for each in throw_pictures[60:]]
+    path = write_video(tmp_path / 'dark.avi', [*throw_pictures[:60], *dark])
+    assert 'of 180 pictures only' in command.refused(path, *AS_TAKEN)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import fcntl
+from functools import partial
 import os
 import subprocess
 import sys
@@ -19,29 +20,25 @@ from twin_runs import Run
 def warm_up(tmp_path):
     """Return a function that starts the command with a kernel cache of its own."""
     environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up']
-
-    def start(*parts: str) -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [*command, *parts], env=environment, stdout=subprocess.PIPE, text=True
-        )
-
-    return start
+    command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', 'measured']
+    return partial(
+        subprocess.Popen, command, env=environment, stdout=subprocess.PIPE, text=True
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
-    first, _ = warm_up('measured').communicate()
+    first, _ = warm_up().communicate()
     assert 'cached for later runs' in first
-    second, _ = warm_up('measured').communicate()
+    second, _ = warm_up().communicate()
     assert 'compiling' not in second
     assert second.startswith('measured: ready')
     (mark,) = (tmp_path / 'cache').rglob('measured.*.nbi')
     mark.unlink()
     with mark.with_suffix('.lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with warm_up('measured') as waiting:
+        with warm_up() as waiting:
             assert 'another process that compiles' in waiting.stdout.readline()
             fcntl.flock(lock, fcntl.LOCK_UN)
             assert 'ready' in waiting.stdout.read()

@@ -31,11 +31,8 @@ def some_rig(random):
 
 @pytest.mark.parametrize(
     ('goal', 'between', 'gravity', 'seeds'),
-    [
-        ('height', (0.02, 0.15), 9.81, 4),
-        ('speed', (0.5, 1.5), 9.81, 2),
-        ('speed', (0.5, 1.5), 0.0, 2),
-    ],
+    [('height', (0.02, 0.15), 9.81, 4), ('speed', (0.5, 1.5), 9.81, 2),
+     ('speed', (0.5, 1.5), 0.0, 2)],
 )
 def test_amplitude_for_a_target_reaches_it_when_simulated(goal, between, gravity, seeds):
     for seed in range(seeds):

@@ -84,15 +84,15 @@ def test_every_point_agrees_with_a_throw_of_its_rig(name):
     random = np.random.default_rng(4)
     axes = {key: np.sort(random.uniform(*PARAMETERS[key], 3)) for key in (name, other)}
     landscape = compute_landscape(Rig(), axes)
-    for i, first in enumerate(axes[name].tolist()):
-        for j, second in enumerate(axes[other].tolist()):
-            values = {name.rpartition('.')[2]: first, other.rpartition('.')[2]: second}
-            rig = rig_with(Rig(), values)
-            release = exact_release(rig)
-            results = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
-            expected = release.ejection_phase, release.energy_transfer
-            assert results == pytest.approx(expected, rel=1e-9)
-            assert landscape.coordinates_of(rig) == (first, second)
+    for i, j in np.ndindex(3, 3):
+        values = (float(axes[name][i]), float(axes[other][j]))
+        keys = (key.rpartition('.')[2] for key in (name, other))
+        rig = rig_with(Rig(), dict(zip(keys, values, strict=True)))
+        release = exact_release(rig)
+        results = landscape.ejection_phase[i, j], landscape.energy_transfer[i, j]
+        expected = release.ejection_phase, release.energy_transfer
+        assert results == pytest.approx(expected, rel=1e-9)
+        assert landscape.coordinates_of(rig) == values
 
 
 def test_last_release_agrees_with_a_throw_after_its_recontacts():

@@ -7,20 +7,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-FINE = 5
-"""Number of samples per pixel along each side."""
-
-CONTRAST = 140.0
-"""Difference of brightness between the background and a spot. [grey levels]"""
-
-NOISE = 4.0
-"""Standard deviation of white noise. [grey levels]"""
-
-BLUR = 1.0
-"""Standard deviation of the blur by the lens. [px]"""
-
-DIAMETER = 8.0
-"""Diameter of a spot. [px]"""
+FINE = 5  # samples per pixel along each side
+CONTRAST = 140.0  # difference of brightness between the background and a spot [grey levels]
+NOISE = 4.0  # standard deviation of white noise [grey levels]
+BLUR = 1.0  # standard deviation of the blur by the lens [px]
+DIAMETER = 8.0  # of a spot [px]
 
 
 def disc(shape, row, column, *, diameter=DIAMETER, blur=BLUR):
