@@ -82,7 +82,7 @@ class _Layout:
 
     def unpack(self, data: bytes) -> _Values | None:
         """Read a message; return None if it has another layout."""
-        if not 0 <= len(data) - self._struct.size <= 7:  # some leave padding behind
+        if len(data) < self._struct.size:  # some writers leave padding behind
             return None
         header, seconds, nanoseconds, *fields = self._struct.unpack_from(data)
         end = len(self._texts)
