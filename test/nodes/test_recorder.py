@@ -24,6 +24,7 @@ from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_T
 from soft_throw_ros.nodes import recorder as recorder_module
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.recorder import Recorder
+from soft_throw_ros.storage.message import Message
 from std_msgs.msg import String
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -199,18 +200,22 @@ def test_end_saves_all_messages_before_anything_that_takes_time(
     node = recorder(name='bag')
     publisher = talker.create_publisher(String, '/talk', 100)
     say(ros, node, publisher, ['a'])
-    subscriptions, drains = node.recording.subscriptions, threading.Semaphore(0)
+    subscriptions, drained = node.recording.subscriptions, threading.Event()
     drain, close = subscriptions.drain, subscriptions.close
+
+    def drain_and_pause() -> list[Message]:
+        messages = drain()
+        monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 60.0)
+        drained.set()
+        return messages
 
     def close_late() -> None:
         ros.spin_until(lambda: len(saved(tmp_path / 'bag')) == 2, 'the messages in the bag')
         close()
 
-    monkeypatch.setattr(recorder_module, '_DRAIN_TIME', 60.0)
-    monkeypatch.setattr(subscriptions, 'drain', lambda: (drain(), drains.release())[0])
+    monkeypatch.setattr(subscriptions, 'drain', drain_and_pause)
     monkeypatch.setattr(subscriptions, 'close', close_late)
-    for _ in range(2):  # the second one is followed by the long wait
-        drains.acquire(timeout=60.0)
+    assert drained.wait(60.0)
     publisher.publish(String(data='b'))
     assert publisher.wait_for_all_acked(Duration(seconds=60.0))
     node.close()
