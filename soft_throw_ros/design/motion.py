@@ -79,7 +79,7 @@ Changes: TypeAlias = Mapping[str, float]
 _COARSE, _FINE = (12, 120), (64, 300)  # pulses per crossing of the wave, and until T at most
 _FINER = 2  # times per pulse at which the layer has to push the projectile
 _HEIGHTS = 9  # points of the layer, from plate to projectile, whose strain is limited
-_WAITING_GAIN = 1e-3  # relative gain of speed that does not justify a later release [-]
+_WAITING_GAIN = 1e-3  # relative gain of speed that justifies no later release or other motion [-]
 _STRAIN_TOLERANCE = 2e-3  # relative excess of a strain that adds a limit to the programme [-]
 _MAX_ROUNDS = 12  # programmes in turn while limits of the strain are added; 3 to 6 are enough
 _SMOOTHING_LOSS = 5e-4  # relative loss of speed for a motion without brief pulses [-]
@@ -189,9 +189,14 @@ class MotionDesign(PredictedThrow):
         now, motion = self.now, self.motion
         text = f'the present motion throws nothing, the best one {self.ejection_speed:.4g} m/s'
         if now is not None:
-            gain = gain_text(self.kinetic_energy / now.kinetic_energy - 1.0)
+            gain = self.kinetic_energy / now.kinetic_energy - 1.0
+            if self.ejection_speed < (1.0 + _WAITING_GAIN) * now.ejection_speed:
+                return (
+                    'keep your motion: none within the limits of the motor is better '
+                    f'(ejection speed {now.ejection_speed:.4g} m/s)'
+                )
             text = (
-                f'with the same motor, {gain} by the best motion (ejection speed '
+                f'with the same motor, {gain_text(gain)} by the best motion (ejection speed '
                 f'{now.ejection_speed:.4g} -> {self.ejection_speed:.4g} m/s)'
             )
         lowest = int(motion.states[:, 0].argmin())

@@ -77,6 +77,7 @@ def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     assert design.ejection_speed == pytest.approx(real.ejection_speed, rel=1e-4)
     assert design.ejection_speed > design.now.ejection_speed * 1.01
     assert len(real.ejections) == 1
+    assert replace(design, now=design).summary.startswith('keep your motion')
 
 
 def test_limit_of_a_load_costs_speed():
