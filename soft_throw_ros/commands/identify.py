@@ -128,7 +128,8 @@ def _run(arguments: argparse.Namespace) -> int:
     rows = [row for row in fit_rows(result) if row.name in (*relevant, REST_WAVE_SPEED)]
     found = [row.name for row in rows]
     if arguments.figure:
-        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in rows]
+        short = [row._replace(note='') for row in rows]
+        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in short]
         _draw_throws(result, ejection, summary, arguments.figure)
     held = [name for name in (PARAMETERS if is_thrown else ENGINE) if name not in found]
     rows += held_rows(values_of(result.model.rig, held), description.assumed)
