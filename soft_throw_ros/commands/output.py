@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 from soft_throw_ros.recording.rerun_text import UNITS
-from soft_throw_ros.storage.atomic_file import atomic_file
+from soft_throw_ros.storage.regular_file import atomic_file
 
 
 class CommandParser(argparse.ArgumentParser):

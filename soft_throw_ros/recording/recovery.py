@@ -11,8 +11,8 @@ import shutil
 
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.storage.bag_folder import is_being_written
-from soft_throw_ros.storage.bag_reader import BagFolder, open_mcap, read_records
+from soft_throw_ros.storage.bag_folder import BagFolder, check_not_written
+from soft_throw_ros.storage.bag_reader import open_mcap, read_records
 from soft_throw_ros.storage.message import BagError, Message
 
 
@@ -39,8 +39,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     being written, or the new one exists or cannot be written.
     """
     source, target = Path(source), Path(target)
-    if is_being_written(source):
-        raise BagError(f'{source} is being written; stop the recorder before')
+    check_not_written(source)
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
@@ -51,7 +50,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     except BaseException:
         shutil.rmtree(target, ignore_errors=True)
         raise
-    omitted = [*filter(None, ends), *folder.defects]
+    omitted = [*filter(None, ends), *(f'{path}: missing or empty' for path in folder.defects)]
     saved = Counter[str]()
     for channel, count in writer.counts.items():
         saved[channel.topic] += count

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Regular files of bounded size; no other files are read by a name from outside."""
+"""User files: only regular ones of bounded size are read, and they are written as a whole."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import errno
 import io
 import os
@@ -39,3 +41,20 @@ def read_regular_file(path: str | Path, *, max_bytes: int) -> bytes:
 
 def _too_large(max_bytes: int) -> OSError:
     return OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """
+    Create or replace a file only after its content is complete.
+
+    The context is a temporary file for the content; an exception leaves the file unchanged.
+    """
+    beside = path.parent / f'{path.name}.{os.getpid()}.tmp'
+    try:
+        yield beside
+        with beside.open('rb+') as file:
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
