@@ -95,12 +95,7 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
         BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
         a time is negative or too large for ROS.
         """
-        channel, data, log_time, publish_time, sequence = message
-        if not message.has_valid_times:
-            raise ValueError(
-                f'{channel.topic}: times must be at least 0 and below 2**63 ns, got {log_time} '
-                f'and {publish_time}'
-            )
+        channel, data, log_time, publish_time, sequence = message.checked()
         file = self._file()
         if log_time - file.first >= self._max_duration or file.size > self._max_size:
             self.split()

@@ -44,9 +44,8 @@ class WriterThread:
         self._is_over = False  # whether all that is not saved is lost
         self._waiting: deque[Message] = deque()
         self._notes: Mapping[str, Mapping[str, str]] = {}
-        # Two sums, each of one thread, and no lock
-        self._put_size = 0  # [bytes]
-        self._written_size = 0  # [bytes]
+        # Sizes of all messages so far, each changed by one thread only, without a lock [bytes]
+        self._put_size = self._written_size = 0
         self._closing = threading.Event()
         self._is_last_try = False  # of a disk that takes nothing, at the end
         self._is_tried = threading.Event()  # set after the first attempt to create the bag
@@ -58,7 +57,7 @@ class WriterThread:
     @property
     def waiting(self) -> int:
         """Number of messages that wait for the disk."""
-        return max(sum((self._unsaved() - self.lost()).values()), 0)
+        return (self._unsaved() - self.lost()).total()
 
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages for writing; drop them if too much data waits already."""
@@ -89,9 +88,8 @@ class WriterThread:
         progress, since = 0, time.monotonic()
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
             self._thread.join(_POLL)
-            done = self._written_size + (self.bag.saved_size if self.bag is not None else 0)
-            if done != progress:
-                progress, since = done, time.monotonic()
+            if self._written_size > progress:
+                progress, since = self._written_size, time.monotonic()
         if self._thread.is_alive():
             self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
             self._is_over = True
@@ -126,9 +124,11 @@ class WriterThread:
             self.bag.wait_for_disk = self._wait_for_disk
         while self._waiting:
             message = self._waiting[0]  # which waits until it is written
-            if message.has_valid_times:
+            try:
                 self.bag.write(message)
-            else:
+            except BagError:
+                raise
+            except ValueError:  # its times
                 self._dropped[message.channel] += 1
             self._written_size += len(message.data) + _OVERHEAD
             self._waiting.popleft()
@@ -137,7 +137,5 @@ class WriterThread:
     def _wait_for_disk(self, reason: str) -> bool:
         """Wait for `FLUSH_PERIOD`; return whether to try again, which is once after the end."""
         self.error = reason
-        if self._is_last_try:
-            return False
-        self._is_last_try = self._closing.wait(FLUSH_PERIOD)
-        return True
+        was_last_try, self._is_last_try = self._is_last_try, self._closing.wait(FLUSH_PERIOD)
+        return not was_last_try

@@ -21,7 +21,7 @@ from mcap.reader import SeekingReader
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
 from soft_throw_ros.storage.bag_folder import BagFolder, check_not_written, NO_MCAP
-from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.message import BagError, Channel, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
 
 MAX_RECORD = 64 * 2**20
@@ -33,8 +33,7 @@ index, whose messages are kept in memory. [bytes]
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
 
-_unique_channel = functools.cache(Channel)
-"""Return one object for all equal channels, since the files of a bag repeat them."""
+_unique_channel = functools.cache(Channel)  # the files of a bag repeat their channels
 
 
 class UnfinishedError(BagError):
@@ -57,7 +56,7 @@ class _BoundedFile(io.BufferedReader):
 def _check_size(size: int) -> None:
     """Raise ValueError for too large a size [bytes]."""
     if size > MAX_RECORD:
-        raise ValueError(f'record, chunk or unindexed file of {size} bytes, more than {MAX_RECORD}')
+        raise ValueError(f'record, chunk, unindexed file of {size} bytes, more than {MAX_RECORD}')
 
 
 def open_mcap(path: Path) -> io.BufferedReader:
@@ -96,10 +95,7 @@ def _make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Mess
     if record.channel_id not in channels:
         raise ValueError(f'nothing defines channel {record.channel_id} of a message')
     times = record.log_time, record.publish_time
-    message = Message(channels[record.channel_id], record.data, *times, record.sequence)
-    if not message.has_valid_times:
-        raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
-    return message
+    return Message(channels[record.channel_id], record.data, *times, record.sequence).checked()
 
 
 def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecord]:
@@ -218,13 +214,14 @@ class BagReader(contextlib.AbstractContextManager['BagReader']):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         folder = BagFolder(path)
+        if folder.defects:
+            check_not_written(self.path)
+            raise UnfinishedError(folder.defects[0], 'the file is missing or empty')
         with contextlib.ExitStack() as streams:
             try:
                 self._files = [
-                    _File(path, streams.enter_context(open_mcap(path))) for path in folder.files
+                    _File(file, streams.enter_context(open_mcap(file))) for file in folder.files
                 ]
-                for path in folder.defects:
-                    raise UnfinishedError(path, 'the file is missing or empty')
             except UnfinishedError:
                 check_not_written(self.path)
                 raise

@@ -14,7 +14,18 @@ import sys
 import tracemalloc
 
 from bags import (
-    accepted, channel, datas, few, notes, PLAIN, plain, profiles, read, saved, text, write,
+    accepted,
+    channel,
+    datas,
+    few,
+    notes,
+    PLAIN,
+    plain,
+    profiles,
+    read,
+    saved,
+    text,
+    write,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
