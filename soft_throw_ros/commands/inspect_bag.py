@@ -145,7 +145,7 @@ def _draw(reader: BagReader, throw: ThrowStart | None, path: Path) -> None:
             scene.show(batch)
         scene.arrange()
     damage = f', {scene.damage}' if scene.damage else ''
-    if scene.is_empty:
+    if not scene.drawn_twins():
         raise ValueError(f'{reader.path}: nothing of a twin could be read{damage}')
     if scene.damaged:
         print_note('inspect', f'{reader.path}: {scene.damaged} messages are left out{damage}')

@@ -64,11 +64,10 @@ def draw_map(
     marks: Marks = (),
 ) -> None:
     """
-    Draw values over two axes as colours, with a bar of colours and up to two marks.
+    Draw values, shape (n, m), over two axes as colours from 0 to `highest`; NaN where are none.
 
-    `axes` are the points of two axes, spaced evenly or by a constant factor, by title and unit.
-    `values`, shape (n, m), are along the first and the second axis, from 0 to `highest`, or the
-    largest one; NaN where there are none. The titles of marks are for a legend.
+    `axes` are their points, spaced evenly or by a constant factor, by title and unit. The titles
+    of at most two marks are for a legend.
     """
     image = panel.pcolormesh(
         *axes.values(), values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
@@ -92,10 +91,9 @@ def draw_map(
 
 def draw_energy_map(values: Values, settings: Settings) -> Figure:
     """
-    Draw alpha over layers, with marks at that of the rig and at the recommended one.
+    Draw alpha over the layers within the limits of the settings, and mark two of them.
 
-    `values` are those of `~/recommendation`, with its rig. The limits in the settings of the twin,
-    and the marks, select the layers.
+    `values` are those of `~/recommendation`, with its rig and the recommended layer.
     """
     rig = rig_of({**TWIN.defaults(), **{name: values[name] for name in rig_values(Rig())}})
     lossless = replace(rig, layer=Layer(density=rig.layer.density, diameter=rig.layer.diameter))
@@ -105,8 +103,8 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
             layers['recommended'] = thickness, wave_speed
     limits = []
     for name, marked in zip(_MAP_COUNTS, zip(*layers.values(), strict=True), strict=True):
-        low, high = (settings[f'recommendation.{name}_{limit}'] for limit in ('min', 'max'))
-        limits.append((min(low, *marked), max(high, *marked)))
+        points = *marked, *(settings[f'recommendation.{name}_{end}'] for end in ('min', 'max'))
+        limits.append((min(points), max(points)))
     for coarseness in (8, 4, 2, 1):
         begin = time.monotonic()
         thicknesses, wave_speeds = (

@@ -116,7 +116,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class Viewer:
+class Viewer(contextlib.AbstractContextManager['Viewer']):
     """
     A viewer process in a session of its own; ViewerError is raised if there is none.
 
@@ -140,9 +140,6 @@ class Viewer:
         )
         self.pid = self._process.pid  # of the process, and of its group
 
-    def __enter__(self) -> Viewer:
-        return self
-
     def __exit__(self, *_: object) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
@@ -156,7 +153,7 @@ class Viewer:
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise ViewerError if the viewer cannot draw."""
         self.wait()
-        client = self._request(partial(_client_of, self.port))
+        client = self._request(partial(_connect, self.port))
         # the viewer answers other requests before it can draw
         self._request(partial(client.take_screenshot, max_size=64))
         return client
@@ -192,9 +189,15 @@ def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
             )
         Viewer(port, stays=True).wait()
     try:
-        _open(_client_of(port), path, timeline, seconds)
+        _open(_connect(port), path, timeline, seconds)
     except (RuntimeError, OSError) as error:
         raise ViewerError(f'the viewer has not opened the bag: {error}') from None
+
+
+def _connect(port: int) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    return ViewerClient.connect(url_of(port))
 
 
 def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> bool:
@@ -204,13 +207,6 @@ def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None
     if seconds is not None:
         client.set_time(timeline, duration=seconds, play_state='paused')
     return True
-
-
-def _client_of(port: int) -> ViewerClient:
-    """Return a client of the viewer at a port."""
-    from rerun.experimental import ViewerClient
-
-    return ViewerClient.connect(url_of(port))
 
 
 def _request(

@@ -56,11 +56,11 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     try:
         text = ''.join(texts(type_name))
         description = _path_of(type_name, folders).with_suffix('.json')
-        hashes = {}
-        if description.is_file():
-            items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
-            hashes = {item['type_name']: str(item['hash_string']) for item in items}
-        return Schema(text=text, type_hash=hashes[type_name] if hashes else '')
+        if not description.is_file():
+            return Schema(text, '')
+        items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
+        hashes = {item['type_name']: str(item['hash_string']) for item in items}
+        return Schema(text, hashes[type_name])
     except SchemaError:
         raise
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -233,4 +233,4 @@ def test_joint_states_of_other_machines_are_ignored(tmp_path, name) -> None:
     channel = Channel(topic=f'/twin/{name}', type='sensor_msgs/msg/JointState', schema='')
     arm = JointStateEncoder('base', ('shoulder', 'elbow')).encode(1, [0.0] * 6)
     _, scene = record(tmp_path / 'a.rrd', [Message(channel, arm, 1, 1)])
-    assert (scene.damaged, scene.is_empty) == (0, True)
+    assert (scene.damaged, scene.drawn_twins()) == (0, [])
