@@ -46,11 +46,11 @@ _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad='#b0b0b0')
 _MAP_SIZE = 6.2, 2.5
 """Width and height of the map of all layers. [inch]"""
 
-_MAP_COUNTS = {'thickness': 160, 'wave_speed': 100}
-"""Values on each axis of the finest map. [-]"""
+_MAP_COUNTS = 16, 32, 64, 128
+"""Points on both axes; the finest map is taken that `_TIME_BUDGET` allows. [-]"""
 
 _TIME_BUDGET = 1.0
-"""The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
+"""Time for the map: too heavy a projectile would take minutes. [s]"""
 
 
 def draw_map(
@@ -98,23 +98,21 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
     rig = rig_of({**TWIN.defaults(), **{name: values[name] for name in rig_values(Rig())}})
     lossless = replace(rig, layer=Layer(density=rig.layer.density, diameter=rig.layer.diameter))
     layers = {'now': (rig.layer.thickness, rig.layer.wave_speed)}
-    match [values.get(name) for name in _MAP_COUNTS]:
+    match values.get('thickness'), values.get('wave_speed'):
         case float(thickness), float(wave_speed):
             layers['recommended'] = thickness, wave_speed
-    limits = []
-    for name, marked in zip(_MAP_COUNTS, zip(*layers.values(), strict=True), strict=True):
-        points = *marked, *(settings[f'recommendation.{name}_{end}'] for end in ('min', 'max'))
-        limits.append((min(points), max(points)))
-    for coarseness in (8, 4, 2, 1):
+    corners = [
+        [settings[f'recommendation.{name}_{end}'] for name in ('thickness', 'wave_speed')]
+        for end in ('min', 'max')
+    ]
+    low, high = (function([*corners, *layers.values()], axis=0) for function in (np.min, np.max))
+    for count in _MAP_COUNTS:
         begin = time.monotonic()
-        thicknesses, wave_speeds = (
-            np.geomspace(*ends, count // coarseness)
-            for ends, count in zip(limits, _MAP_COUNTS.values(), strict=True)
-        )
+        thicknesses, wave_speeds = np.geomspace(low, high, count, axis=1)
         layers_of_map = {'thickness': thicknesses[:, None], 'wave_speed': wave_speeds}
         transfer = throw_many(lossless, layers_of_map).energy_transfer
         # Duration of the next grid; the first one loads the kernels
-        if coarseness < 8 and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
+        if count > _MAP_COUNTS[0] and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
             break
     axes = {'Lₛ (mm)': 1e3 * thicknesses, 'cₛ (m/s)': wave_speeds}
     marks = [(name, 1e3 * thickness, speed) for name, (thickness, speed) in layers.items()]

@@ -95,7 +95,6 @@ STRAIN_WIDTH = 4.0
 """Width of the picture of the strain over time, whose height is 1, in its view."""
 
 _STRAIN = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
-"""Section of this view, whose vertical axis points downwards."""
 
 _BEFORE, _AFTER = 0.7, 1.8
 """Time that plots show before and after the cursor. [periods of the plate]"""

@@ -36,19 +36,16 @@ _LAYER_ROWS = (
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
-_VARIED = ('thickness', 'wave_speed')
-"""Quantities of which one alone is varied, each in a column."""
-
 
 def throw_text(values: Values) -> str:
     """Return the results of a throw with their errors."""
-    number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
-    title = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**'
+    stage = _STAGES.get(str(values.get('stage')), 'up to the release')
     rows = [name for name in _THROW_ROWS if values.get('recontacts') or name[:5] != 'last_']
-    text = f'{title}, {_STAGES.get(str(values.get("stage")), "up to the release")}\n\n'
+    text = f'**Throw {_cell(values.get("throw"), 1.0, None)}**, {stage}\n\n'
     text += _table(values, rows, {'twin': ''})
-    if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
-        text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
+    match values.get('peak_strain'), values.get('max_strain'):
+        case float(strain), float(limit) if strain > limit:
+            text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
     return text
 
 
@@ -57,7 +54,8 @@ def recommendation_text(message: str, values: Values) -> str:
     if 'now.thickness' not in values:
         return f'{message}\n'
     vary = values.get('vary')
-    others = {f'other {name.replace("_", " ")}': f'by_{name}.' for name in _VARIED if name != vary}
+    others = {'other thickness': 'by_thickness.', 'other wave speed': 'by_wave_speed.'}
+    others.pop(f'other {vary}'.replace('_', ' '), None)
     best = values.get('layer') or vary
     return _table(values, _LAYER_ROWS, {'now': 'now.', **others, f'**{best}**': ''})
 
