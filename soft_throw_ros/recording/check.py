@@ -106,7 +106,7 @@ def check_bag(reader: BagReader) -> list[CheckResult]:
 
 
 class _Check:
-    """The check of one twin, whose lines are repeated from the start of a session or a throw on."""
+    """The check of one twin; its lines are repeated from the start of a session or a throw on."""
 
     def __init__(self, reader: BagReader, node: str) -> None:
         self._reader = reader

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Texts and tables (Markdown) about a throw, the recommended layer and the measured track."""
+"""Texts and tables (Markdown) about a throw and the recommended layer."""
 
 from __future__ import annotations
 
@@ -58,15 +58,6 @@ def recommendation_text(message: str, values: Values) -> str:
     others.pop(f'other {vary}'.replace('_', ' '), None)
     best = values.get('layer') or vary
     return _table(values, _LAYER_ROWS, {'now': 'now.', **others, f'**{best}**': ''})
-
-
-def track_text(task: str, message: str, values: Values) -> str:
-    """Return a line with the status of the measured track, its outliers and its warnings."""
-    notes = [f'**{task.capitalize()}**: {message}'.replace('+-', '±')]
-    if outliers := values.get('samples_jumped') or values.get('outliers'):
-        notes.append(f'{outliers:g} samples left out')
-    notes += [str(value) for key, value in values.items() if key.startswith('warning')]
-    return '; '.join(notes)
 
 
 def _table(values: Values, rows: Sequence[str], columns: Mapping[str, str]) -> str:

@@ -42,12 +42,9 @@ from soft_throw_ros.storage.cdr import (
 from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
-_MILLI, _MICRO = 1e3, 1e6
+_MILLI = 1e3
 
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
-
-_TRACK_TASKS = ('measurement', 'model', 'identification')
-"""Tasks in /diagnostics about a measured track."""
 
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
@@ -172,15 +169,6 @@ class Scene:
         level = rr.LoggingHandler.LVL2NAME.get(line.level)
         self._canvas.draw(layout.LOG, stamp, rr.TextLog(f'{line.name}: {line.msg}', level=level))
 
-    def draw_diagnostics(self, message: Message) -> None:
-        """Show diagnostics of a measured track, from a twin or from its calibrator."""
-        for stamp, status, values in _read_statuses(message):
-            node, _, task = str(status.name).rpartition(': ')
-            for name, twin in self._twins.items():
-                is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
-                if name == node or (is_beside and task == 'identification'):
-                    twin.draw_track(stamp, task, status, values)
-
 
 class _TwinView:
     """The drawing of one twin, and what it needs to know of earlier messages."""
@@ -192,20 +180,15 @@ class _TwinView:
         self._node = node
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
-        self._track: dict[str, str] = {}  # texts by the task of a node
         self._present: set[str] = set()  # optional panels that are there
         self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
+        self._layer_at_rest: tuple[rr.AsComponents, ...] = ()
         phases, colours = zip(*layout.PHASES.items(), strict=True)
         canvas.style('phase', rr.StateConfiguration(values=phases, colors=colours))
         for name, line in layout.LINES.items():
             widths = np.broadcast_to(line.widths, len(line.names))
             lines = rr.SeriesLines(names=line.names, colors=line.colours, widths=widths)
             canvas.style(name, lines)
-        pixels = rr.components.ImageFormat(
-            width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
-        )
-        layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        canvas.style('side/plate/layer', layer)
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
         canvas.style('strain/now', cursor)
 
@@ -219,7 +202,6 @@ class _TwinView:
             period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
             diameter=self._diameter,
             height=self._height,
-            residual_limit=_MICRO * twin.settings['measured.residual_threshold'],
             present=self._present | ({layout.LOG} if log.is_drawn else set()),
         )
 
@@ -316,27 +298,14 @@ class _TwinView:
             'projectile/text': _texts((diameter, -0.5 * length, 'projectile')),
         }.items():
             self.canvas.draw(f'side/{name}', stamp, *content, stays=True)
-        heights = np.linspace(0.0, rig.layer.thickness, FIELD_POINTS)
-        strain = np.full((1, FIELD_POINTS), rig.rest_height / rig.layer.thickness - 1.0)
-        self._draw_layer(np.array([stamp]), strain, heights, 1.0)
-
-    def _draw_layer(self, stamps: Stamps, strain: Floats, heights: Floats, limit: float) -> None:
-        """Draw the colours of strains up to a limit, stretched over the length of the layer."""
-        length = np.asarray(np.trapezoid(1.0 + strain, heights, axis=1))
-        pixels = charts.signed_colours(strain[:, ::-1], limit)
-        corner, scale = np.zeros((length.size, 3)), np.ones((length.size, 3))
-        corner[:, 0], corner[:, 1] = -0.5 * self._diameter, -_MILLI * length
-        scale[:, 0], scale[:, 1] = self._diameter, _MILLI * length / FIELD_POINTS
-        columns = [
-            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
-        ]
-        self.canvas.columns('side/plate/layer', stamps, columns)
+        rest, white = _MILLI * rig.rest_height, np.full((FIELD_POINTS, 1, 3), WHITE, np.uint8)
+        self._layer_at_rest = _picture(white, -0.5 * diameter, -rest, diameter, rest)
+        self.canvas.draw('side/plate/layer', stamp, *self._layer_at_rest)
 
     def draw_field(self, message: Message) -> None:
         """Draw the strain of the throw under way over time and height, and in the layer."""
         points, throw = _read_cloud(message, TWIN_TOPICS.throw_field), self._journal.throw
-        if throw is None or self._journal.rig is None:
+        if throw is None:
             return
         times, heights, strain = points[:, 0, 0], points[0, :, 1], points[..., 2]
         ejection_time, end = throw.ejection_time or math.inf, times[-1]
@@ -364,11 +333,19 @@ class _TwinView:
         cursors[:, :, 0] = (width * times / end)[:, None]
         cursors[:, 1, 1] = 1.0
         columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
-        stamps = np.append(stamps, 2 * stamps[-1] - stamps[-2])  # no cursor, and the layer at rest
-        self.canvas.columns('strain/now', stamps, columns)
-        rest = self._journal.rig.rest_height / self._journal.rig.layer.thickness - 1.0
-        strain = np.pad(strain, ((0, 1), (0, 0)), constant_values=rest)
-        self._draw_layer(stamps, strain, heights, limit)
+        after = int(2 * stamps[-1] - stamps[-2])  # when the cursor disappears
+        self.canvas.columns('strain/now', np.append(stamps, after), columns)
+        length = _MILLI * np.trapezoid(1.0 + strain, heights, axis=1)
+        corner, scale = np.zeros((length.size, 3)), np.ones((length.size, 3))
+        corner[:, 0], corner[:, 1] = -0.5 * self._diameter, -length
+        scale[:, 0], scale[:, 1] = self._diameter, length / FIELD_POINTS
+        rows = charts.signed_colours(strain[:, ::-1], limit)
+        columns = [
+            *rr.Image.columns(buffer=[row.tobytes() for row in rows]),
+            *rr.Transform3D.columns(translation=corner, scale=scale),
+        ]
+        self.canvas.columns('side/plate/layer', stamps, columns)
+        self.canvas.draw('side/plate/layer', after, *self._layer_at_rest)
 
     # texts and the map
 
@@ -380,13 +357,6 @@ class _TwinView:
             if throw is not None and is_early and values.get('throw') == throw.number:
                 stamp = throw.stamp  # noqa: PLW2901
             self._write('throw_result', stamp, words.throw_text(values))
-
-    def draw_track(self, stamp: int, task: str, status: Any, values: words.Values) -> None:
-        """Write the diagnostics of the measured track, one line for each task."""
-        if task in _TRACK_TASKS:
-            self._present.add('track')
-            self._track[task] = words.track_text(task, status.message, values)
-            self._write('track', stamp, '  \n'.join(self._track.values()))
 
     def draw_recommendation(self, message: Message) -> None:
         """Write the table of a recommendation, and draw the map of its rig."""
@@ -405,7 +375,6 @@ class _TwinView:
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     _LOG: Scene.draw_line,
-    TWIN_TOPICS.diagnostics: Scene.draw_diagnostics,
     TWIN_TOPICS.journal: _TwinView.draw_journal,
     **{
         line.topic: partial(_TwinView.draw_joints, topic=line.topic)

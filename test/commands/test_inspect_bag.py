@@ -16,8 +16,7 @@ from soft_throw_ros.storage.message import Channel, Message
 
 pytest.importorskip('rerun')
 
-from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
-
+from rrd_files import RrdFile, viewer_at  # noqa: E402, I100
 from soft_throw_ros.recording.rerun_layout import STAMP, THROW_TIME  # noqa: E402
 
 COMMAND = (inspect_bag.main,)

@@ -32,7 +32,6 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
-from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -132,16 +131,13 @@ def test_bag_has_the_metadata_of_rosbag2(tmp_path):
         *_, (_, _, data) = bag.messages()
     assert TYPES.deserialize_cdr(data, second.msgtype).data == '4999 äöü'
     assert first.digest == TYPES.hash_rihs01('sensor_msgs/msg/JointState')
-    assert first.ext.offered_qos_profiles == parse_qos(states.qos)
-    (qos,) = second.ext.offered_qos_profiles
-    assert qos.durability is QosDurability.TRANSIENT_LOCAL
+    for connection, ours in ((first, states), (second, texts)):
+        assert connection.ext.offered_qos_profiles == parse_qos(ours.qos)
     with (folder / 'bag_0.mcap').open('rb') as file:
         reader = make_reader(file)
         assert reader.get_header().profile == 'ros2'
-        assert all(
-            chunk.uncompressed_size < 1.1 * CHUNK_SIZE
-            for chunk in reader.get_summary().chunk_indexes
-        )
+        chunks = reader.get_summary().chunk_indexes
+    assert all(chunk.uncompressed_size < 1.1 * CHUNK_SIZE for chunk in chunks)
     information = yaml.safe_load((folder / 'metadata.yaml').read_text())
     inside = yaml.safe_load(notes(folder)['rosbag2']['serialized_metadata'])
     assert inside == information['rosbag2_bagfile_information']
@@ -158,7 +154,8 @@ def test_equal_channels_are_merged_when_read(tmp_path):
 
 def test_bag_is_locked_and_never_overwritten(tmp_path):
     (tmp_path / 'file').touch()
-    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+    bag = tmp_path / 'bag'
+    with BagWriter(bag, distribution='') as writer:
         writer.write(plain(0))
         with pytest.raises(ValueError, match=r'/plain: .* got -1 and 0'):
             writer.write(Message(PLAIN, b'', -1, 0))
@@ -167,11 +164,15 @@ def test_bag_is_locked_and_never_overwritten(tmp_path):
         ):
             with pytest.raises(BagError, match=reason):
                 BagWriter(tmp_path / name, distribution='')
-        for path in (tmp_path / 'bag', tmp_path / 'bag/bag_0.mcap'):
+        for path in (bag, bag / 'bag_0.mcap'):
             for use in (BagReader, lambda path: recover(path, tmp_path / 'whole')):
                 with pytest.raises(BagError, match='being written'):
                     use(path)
-    assert len(read(tmp_path / 'bag')) == 1
+    assert len(read(bag)) == 1
+    recover(bag, tmp_path / 'whole')
+    for target in (tmp_path / 'whole', bag, bag / 'whole'):
+        with pytest.raises(BagError, match=str(target)):
+            recover(bag, target)
     writer = BagWriter(tmp_path / 'deleted', distribution='')
     shutil.rmtree(tmp_path / 'deleted')
     with pytest.raises(BagError, match=r'metadata\.yaml: No such file'):
@@ -216,9 +217,9 @@ def test_whole_chunk_counts_as_saved_if_the_disk_is_full_before_its_index(tmp_pa
     begin = (path / 'bag_0.mcap').stat().st_size
     with largest_file(begin + room), pytest.raises(BagError, match='too large'):
         fill()
-    for close in (writer.close, writer.flush, lambda: writer.write(plain(1))):
-        with pytest.raises(BagError, match='too large' if close == writer.close else 'is closed'):
-            close()
+    for use, reason in ((writer.close, 'too large'), (writer.flush, 'is closed')):
+        with pytest.raises(BagError, match=reason):
+            use()
     recovery = recover(path, tmp_path / 'recovered')
     assert recovery.message_count == writer.counts[PLAIN]
     for size in (10, 300):
@@ -293,11 +294,10 @@ def test_bag_of_rosbags_is_read_or_refused_with_its_converter(
             with pytest.raises(BagError, match=r'theirs.*rosbags-convert'):
                 BagReader(path)
         return
-    recover(tmp_path / 'theirs', tmp_path / 'recovered')
-    for name in ('theirs', 'recovered'):
+    for path in (tmp_path / 'theirs', recover(tmp_path / 'theirs', tmp_path / 'new').target):
         rows = [('/a', text(str(number)), number) for number in range(300)]
-        assert [row[:3] for row in read(tmp_path / name)] == rows
-        with BagReader(tmp_path / name) as ours:
+        assert [row[:3] for row in read(path)] == rows
+        with BagReader(path) as ours:
             (only,) = ours.channels
         assert (only.type, parse_qos(only.qos)) == ('std_msgs/msg/String', offered)
 
@@ -336,19 +336,15 @@ def test_mcap_with_any_index_or_none_is_read_and_recovered(
     assert notes(bag)['name'] == {'key': 'value'}
 
 
-@pytest.mark.parametrize(
-    'damage', [None, lambda text: text[:300], lambda _: '[' * 1000,
-               lambda text: f'{text}# {"x" * 2**20}'],
-)
+@pytest.mark.parametrize('damage', [
+    None, lambda text: text[:300], lambda _: '[' * 1000, lambda text: f'{text}# {"x" * 2**20}',
+])
 def test_bag_is_read_without_its_metadata_but_not_without_a_file(tmp_path, damage):
-    folder = tmp_path / 'bag'
-    write(folder, map(plain, range(2000)), max_duration=1.5e-7)
-    rows, path = [*map(plain, range(2000))], folder / 'metadata.yaml'
+    folder = write(tmp_path / 'bag', map(plain, range(2000)), max_duration=1.5e-7)
+    path = folder / 'metadata.yaml'
     whole = path.read_text()
-    path.unlink()
-    if damage is not None:
-        path.write_text(damage(whole))
-    assert [row[2] for row in read(folder)] == [row.log_time for row in rows]  # 2 before 10
+    path.write_text(damage(whole)) if damage else path.unlink()
+    assert [row[2] for row in read(folder)] == list(range(2000))  # 2 before 10
     path.write_text(whole)
     (folder / 'bag_3.mcap').write_bytes(b'')
     (folder / 'bag_5.mcap').unlink()
@@ -361,11 +357,7 @@ def test_bag_is_read_without_its_metadata_but_not_without_a_file(tmp_path, damag
 
 def test_file_or_path_that_is_no_bag_is_refused_with_a_reason(tmp_path):
     path = tmp_path / 'bag.mcap'
-    for data, reason in (
-        (b'', 'empty'),
-        (b'#ROSBAG V2.0\n', 'rosbags-convert'),
-        (b'\x28\xb5\x2f\xfd' + b'\xff' * 100, 'compressed'),
-    ):
+    for data, reason in ((b'', 'empty'), (b'#ROSBAG V2.0\n', 'is compressed.*rosbags-convert')):
         path.write_bytes(data)
         for bag in (tmp_path, path):
             with pytest.raises(BagError, match=rf'bag\.mcap.*{reason}'):
@@ -377,40 +369,16 @@ def test_file_or_path_that_is_no_bag_is_refused_with_a_reason(tmp_path):
             BagReader(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ('encoding', 'schema', 'time', 'reason'),
-    [
-        ('json', 1, 0, r"/a /b [^\n]*'json'"),
-        ('cdr', 0, 0, 'nothing defines channel 1'),
-        ('cdr', 1, 2**63, f'{2**63}'),
-    ],
-)
+@pytest.mark.parametrize(('encoding', 'schema', 'time', 'reason'), [
+    ('json', 1, 0, r"/a /b [^\n]*'json'"), ('cdr', 0, 0, 'nothing defines channel 1'),
+    ('cdr', 1, 2**63, f'{2**63}'),
+])
 def test_messages_that_are_not_of_ros_are_refused_in_one_line(
     tmp_path, encoding, schema, time, reason
 ):
     write_by_mcap(tmp_path / 'theirs.mcap', [time], '/a\n/b', encoding, schema)
     with pytest.raises(BagError, match=rf'^[^\n]*theirs\.mcap: [^\n]*{reason}[^\n]*$'):
         read(tmp_path / 'theirs.mcap')
-
-
-def test_bag_is_read_up_to_the_first_damaged_chunk_and_recovered_file_by_file(tmp_path):
-    folder = write(tmp_path / 'bag', map(plain, range(900)), max_duration=3e-7)
-    before = {path: path.read_bytes() for path in folder.iterdir()}
-    damaged = folder / 'bag_1.mcap'
-    offset = before[damaged].index(b'zstd') + 100
-    damaged.write_bytes(before[damaged][:offset] + b'~' + before[damaged][offset + 1:])
-    messages = []
-    with BagReader(folder) as bag, pytest.raises(UnfinishedError, match='chunk'):
-        messages.extend(bag.messages())  # up to the error
-    assert [message.log_time for message in messages] == list(range(300))
-    recovered = recover(folder, tmp_path / 'whole')
-    assert recovered.message_count == 600
-    (omitted,) = recovered.omitted
-    assert str(damaged) in omitted
-    assert {path for path in before if path.read_bytes() != before[path]} == {damaged}
-    for target in (tmp_path / 'whole', folder, folder / 'whole'):
-        with pytest.raises(BagError, match=str(target)):
-            recover(folder, target)
 
 
 @pytest.mark.parametrize('size', [10**9, 10**12])

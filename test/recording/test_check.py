@@ -71,29 +71,22 @@ def plain(module_ros: Ros) -> DrivenTwin:
 
 @pytest.fixture(scope='module')
 def eventful(module_ros: Ros) -> DrivenTwin:
-    """Return a twin with changes, a reset, stalls, a restart and clock jumps within seconds."""
+    """Return a twin with changes, a reset, a stall in flight, a restart and a clock jump."""
     twin = module_ros.start_twin(throw__max_events=4).go(1234)
     twin.clock.max_catch_up = MILLISECOND
-    twin.change(layer__thickness=0.0123, rate__state=800.0)
-    twin.go(1400)
+    twin.change(time_scale=0.1, layer__loss_tangent=0.01, rate__state=800.0)
     twin.session.reset()
-    twin.go(90)
-    twin.advance(17 * MILLISECOND)  # a stall during a reset
-    twin.change(throw__period=0.0, time_scale=0.1, layer__loss_tangent=0.01)
     twin.go(1900)
-    twin.session.request_throw()
-    twin.go(500)
-    twin.advance(125 * MILLISECOND)  # in mid-flight
+    twin.advance(125 * MILLISECOND)
     twin.go(1250)
-    assert twin.ticker.counts['ticks_skipped'] > 100
+    assert twin.ticker.counts['ticks_skipped'] > 50
     twin.finish()
     twin.clock.time += SECOND
     again = module_ros.node(DrivenTwin, clock=twin.clock)  # with the default settings
     again.messages[:0] = twin.messages
-    for jump in (-SECOND // 3, 5 * SECOND):
-        again.go(1000)
-        again.clock.time += jump
-        again.clock.epoch += 1
+    again.go(1000)
+    again.clock.time -= SECOND // 3
+    again.clock.epoch += 1
     again.go(1000)
     again.finish()
     return again
@@ -119,9 +112,6 @@ def measured(module_ros: Ros) -> DrivenTwin:
     return twin
 
 
-# all the same
-
-
 @pytest.mark.parametrize('name', ['plain', 'eventful', 'measured'])
 def test_bag_agrees_with_its_journal(request, check, name) -> None:
     twin = request.getfixturevalue(name)
@@ -136,19 +126,12 @@ def test_bag_agrees_with_its_journal(request, check, name) -> None:
 
 def test_two_twins_in_a_bag_are_checked_and_a_foreign_journal_is_reported(ros, tmp_path) -> None:
     first = ros.start_twin('-r', '__ns:=/left').go(1500)
-    second = ros.start_twin('-r', '__ns:=/right', layer__thickness=0.01).go(2500)
-    arm = ros.start_twin('-r', '__node:=x').go(1)
-    foreign = edited(arm, lambda _entry: {'moved': True})
+    second = ros.start_twin('-r', '__ns:=/right', layer__thickness=0.01).go(1500)
+    foreign = edited(ros.start_twin('-r', '__node:=x').go(1), lambda _entry: {'moved': True})
     messages = sorted(first.messages + second.messages + foreign, key=lambda m: m.log_time)
     with BagReader(write(tmp_path / 'bag', messages)) as reader:
-        results = {result.twin: result for result in check_bag(reader)}
-    codes = {name: result.exit_code for name, result in results.items()}
+        codes = {result.twin: result.exit_code for result in check_bag(reader)}
     assert codes == {'/left/twin': 0, '/right/twin': 0, '/x': 2}
-    assert results['/right/twin'].results.same >= 3
-    assert results['/x'].reason
-
-
-# something different
 
 
 @pytest.mark.parametrize(('step', 'index', 'bit'), [(0, 0, 63), (610, 2, 30), (2199, 5, 0)])
@@ -167,8 +150,7 @@ def test_one_bit_of_a_recorded_state_is_found_and_named(plain, check, step, inde
 
 @pytest.mark.parametrize('topic', [TWIN_TOPICS.joint_states, TWIN_TOPICS.journal])
 def test_unreadable_message_is_a_difference(plain, check, topic) -> None:
-    message = plain.of(topic)[2]
-    assert check(damaged(plain, message, b'\0\1\0\0\0')).exit_code == 1
+    assert check(damaged(plain, plain.of(topic)[2], b'\0\1\0\0\0')).exit_code == 1
 
 
 @pytest.mark.parametrize(('kind', 'name', 'count'), [
@@ -198,9 +180,6 @@ def test_inconsistent_journal_is_a_difference(plain, check, values) -> None:
     assert result.results.same >= 6  # the next throws are checked again
 
 
-# messages that are missing
-
-
 @pytest.mark.parametrize('lost', [range(700, 710), range(2090, 2200)])
 def test_missing_states_are_counted_and_no_difference(plain, check, lost) -> None:
     states = {id(plain.of(TWIN_TOPICS.joint_states)[number]) for number in lost}
@@ -226,9 +205,6 @@ def test_missing_lines_are_counted_and_the_next_throw_is_checked(
     result = check(edited(twin, lambda entry: None if entry['line'] == line else entry))
     assert (result.exit_code, result.results.missing) == (0, 1)
     assert 0 < result.results.same < len(entries(twin, 'result', 'checksum'))
-
-
-# bags that are not compared
 
 
 def test_session_of_another_version_is_reported_as_not_compared(plain, check) -> None:
@@ -259,7 +235,6 @@ def test_file_that_a_journal_names_is_not_opened(
     assert not opened
 
 
-def test_bag_without_a_twin_is_refused_with_its_topics(plain, tmp_path) -> None:
-    path = write(tmp_path / 'bag', plain.of(TWIN_TOPICS.joint_states))
-    with BagReader(path) as reader, pytest.raises(CheckError, match='/twin/joint_states'):
-        check_bag(reader)
+def test_bag_without_a_twin_is_refused_with_its_topics(plain, check) -> None:
+    with pytest.raises(CheckError, match='/twin/joint_states'):
+        check(plain.of(TWIN_TOPICS.joint_states))

@@ -23,7 +23,7 @@ from soft_throw_ros.recording.rerun_viewer import (
 
 pytest.importorskip('rerun')
 
-from test.recording.rrd_files import viewer_at  # noqa: E402, I100
+from rrd_files import viewer_at  # noqa: E402, I100
 
 
 def test_viewer_collects_no_telemetry(tmp_path, monkeypatch) -> None:
