@@ -32,7 +32,7 @@ def _run(arguments: argparse.Namespace) -> int:
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
     width = max(map(len, recovery.saved))
     print_lines([
-        f'{recovery.target}: {recovery.message_count} messages recovered',
+        f'{recovery.target}: {recovery.saved.total()} messages recovered',
         *(f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()),
         *(f'omitted: {part}' for part in recovery.omitted),
     ])

@@ -36,17 +36,15 @@ _CHUNK = bytes([Opcode.CHUNK])
 
 class BagWriter(contextlib.AbstractContextManager['BagWriter']):
     """
-    A new bag opened for writing, whose folder must not exist; BagError is raised if it does.
+    A new bag opened for writing; its folder must not exist, and is locked (`flock`) until `close`.
 
-    Chunks are written as they fill up, and the last one at `flush`. From then on their messages
-    survive the end of this process, so call `flush` about once a second; with `sync` also a loss
-    of power. Every file can be read alone: it contains all channels so far. A new one is begun
-    beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
+    Messages survive the end of this process after `flush`, which should be called once a second;
+    with `sync` also a loss of power. Every file can be read alone. A new one is begun beyond
+    `max_size` [bytes] or `max_duration` [s], if these are not 0.
 
-    `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
-    whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `counts` are the numbers of messages in whole chunks on the disk. The folder is locked
-    (`flock`) while it is written.
+    `wait_for_disk` is called with the reason if the disk does not take data, and returns whether
+    to try again. After any BagError the bag can only be closed. `counts` are the numbers of
+    messages in whole chunks on the disk.
     """
 
     def __init__(
@@ -89,12 +87,7 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
         self.close()
 
     def write(self, message: Message) -> None:
-        """
-        Write a message, and with its channel's first one the channel.
-
-        BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
-        a time is negative or too large for ROS.
-        """
+        """Write a message; BagError if the disk does not take it, ValueError for invalid times."""
         channel, data, log_time, publish_time, sequence = message.checked()
         file = self._file()
         if log_time - file.first >= self._max_duration or file.size > self._max_size:
@@ -124,11 +117,7 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
             self.insist(file.path, os.fsync, file)
 
     def close(self) -> None:
-        """
-        Finish the bag; if it is closed already, do nothing.
-
-        BagError is raised if that fails; the bag is closed all the same, with all that was saved.
-        """
+        """Finish the bag; BagError if that fails, and the bag is closed all the same."""
         if self._lock >= 0:
             try:
                 self._finish_file()

@@ -25,9 +25,6 @@ Bytes = NDArray[np.uint8]
 Marks = Iterable[tuple[str, float, float]]
 """Marked points: title, and values on both axes."""
 
-_DPI = 100
-"""Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
-
 _STYLE: dict[Any, Any] = {
     'axes.edgecolor': '#b0b0b0',
     'axes.labelcolor': 'white',
@@ -43,14 +40,8 @@ _STYLE: dict[Any, Any] = {
 # Both maps are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
 _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad='#b0b0b0')
 
-_MAP_SIZE = 6.2, 2.5
-"""Width and height of the map of all layers. [inch]"""
-
-_MAP_COUNTS = 16, 32, 64, 128
-"""Points on both axes; the finest map is taken that `_TIME_BUDGET` allows. [-]"""
-
-_TIME_BUDGET = 1.0
-"""Time for the map: too heavy a projectile would take minutes. [s]"""
+_MAP_COUNTS = 16, 32, 64, 128  # points on both axes; the finest map in `_TIME_BUDGET` is taken [-]
+_TIME_BUDGET = 1.0  # for the map: too heavy a projectile would take minutes [s]
 
 
 def draw_map(
@@ -118,7 +109,7 @@ def draw_energy_map(values: Values, settings: Settings) -> Figure:
     marks = [(name, 1e3 * thickness, speed) for name, (thickness, speed) in layers.items()]
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=_MAP_SIZE, layout='constrained')
+        figure = Figure(figsize=(6.2, 2.5), layout='constrained')
         draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
         figure.legend(loc='outside upper center', ncols=2)
     return figure
@@ -130,7 +121,7 @@ def signed_colours(values: Floats, limit: float) -> Bytes:
     return np.ascontiguousarray(_SIGNED(scaled, bytes=True)[..., :3])
 
 
-def to_png(figure: Figure, *, dpi: float = _DPI) -> bytes:
+def to_png(figure: Figure, *, dpi: float = 100.0) -> bytes:
     """Return a figure as PNG."""
     output = io.BytesIO()
     figure.savefig(output, format='png', dpi=dpi, metadata={'Software': None})

@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The schedule of a playback, without a clock or a sleep.
-
-The caller passes the time of its own clock in nanoseconds, which must not go back. Deadlines are
-absolute, so a delay does not postpone later messages.
-"""
+"""The schedule of a playback by the clock of the caller in nanoseconds, which never goes back."""
 
 from __future__ import annotations
 
@@ -15,11 +10,8 @@ import math
 
 from soft_throw_ros.storage.message import Message
 
-MAX_CATCH_UP = 100_000_000
-"""Largest delay that is caught up; after a longer stall later messages are postponed. [ns]"""
-
-SHORTEST_LOOP = 1_000_000
-"""Shortest period of repetition, for very short recordings. [ns]"""
+MAX_CATCH_UP = 100_000_000  # delay beyond which later messages are postponed [ns]
+SHORTEST_LOOP = 1_000_000  # period of repetition of very short recordings [ns]
 
 
 class PlaybackSchedule:

@@ -22,13 +22,8 @@ class Recovery:
     """The result of a recovery."""
 
     target: Path  # the new bag
-    saved: dict[str, int]  # numbers of recovered messages by topic
+    saved: Counter[str]  # numbers of recovered messages by topic
     omitted: tuple[str, ...]  # missing files, and ends of files from the first damage on
-
-    @property
-    def message_count(self) -> int:
-        """Number of all messages that were saved."""
-        return sum(self.saved.values())
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
@@ -55,7 +50,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise BagError(f'{omitted[0] if omitted else source}; there is no message to recover')
         writer.close()
         incomplete.pop_all()
-    return Recovery(target=target, saved=dict(saved), omitted=tuple(omitted))
+    return Recovery(target=target, saved=saved, omitted=tuple(omitted))
 
 
 def _copy(path: Path, writer: BagWriter) -> str:

@@ -96,11 +96,8 @@ STRAIN_WIDTH = 4.0
 
 _STRAIN = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
 
-_BEFORE, _AFTER = 0.7, 1.8
-"""Time that plots show before and after the cursor. [periods of the plate]"""
-
-_LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0
-"""Time that live plots show: [periods of the plate], and at least [s]."""
+_BEFORE, _AFTER = 0.7, 1.8  # that plots show before and after the cursor [periods of the plate]
+_LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0  # that live plots show [periods of the plate], [s] at least
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,7 @@
 """
 Twins in Rerun: the rig to scale, series, waves in the layer, the best layer, and texts.
 
-All times are stamps. A message without a stamp (a line of the journal or of the log) was published
-right after the state message of its step, and gets the stamp of this state message.
+All times are stamps; a message without one gets that of the state published right before it.
 """
 
 from __future__ import annotations
@@ -220,12 +219,7 @@ class _TwinView:
     # plots
 
     def draw_joints(self, *messages: Message, topic: Topic) -> None:
-        """
-        Draw the lines of a topic, NaN for a joint without values; states move the bodies.
-
-        Measured positions are relative to rest, at times by the clock of the twin; they are not
-        drawn while the rest is unknown.
-        """
+        """Draw the lines of a topic, relative to rest if measured; states move the bodies."""
         joints, twin = self._read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
         values = {name: getattr(joints, name) for name in topic.quantities}
@@ -332,17 +326,17 @@ class _TwinView:
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
         cursors[:, :, 0] = (width * times / end)[:, None]
         cursors[:, 1, 1] = 1.0
-        columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
+        strips = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
         after = int(2 * stamps[-1] - stamps[-2])  # when the cursor disappears
-        self.canvas.columns('strain/now', np.append(stamps, after), columns)
+        self.canvas.columns('strain/now', np.append(stamps, after), strips)
         length = _MILLI * np.trapezoid(1.0 + strain, heights, axis=1)
-        corner, scale = np.zeros((length.size, 3)), np.ones((length.size, 3))
-        corner[:, 0], corner[:, 1] = -0.5 * self._diameter, -length
-        scale[:, 0], scale[:, 1] = self._diameter, length / FIELD_POINTS
+        corners, scales = np.zeros((length.size, 3)), np.ones((length.size, 3))
+        corners[:, 0], corners[:, 1] = -0.5 * self._diameter, -length
+        scales[:, 0], scales[:, 1] = self._diameter, length / FIELD_POINTS
         rows = charts.signed_colours(strain[:, ::-1], limit)
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in rows]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
+            *rr.Transform3D.columns(translation=corners, scale=scales),
         ]
         self.canvas.columns('side/plate/layer', stamps, columns)
         self.canvas.draw('side/plate/layer', after, *self._layer_at_rest)

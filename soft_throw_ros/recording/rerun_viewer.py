@@ -28,16 +28,11 @@ if TYPE_CHECKING:
 Result = TypeVar('Result')
 
 HOST = '127.0.0.1'
-
-PORT = 9876
-"""Default port of the viewer."""
-
+PORT = 9876  # default port of the viewer
 _TIMEOUT = 60.0  # longest wait until the viewer listens, has a recording, or has drawn [s]
 _POLL = 0.25  # time between two requests [s]
 _SETTLE_TIME = 2.0  # in which axes move to a new time [s]
-
 _SERVER_MEMORY = '256MB'
-
 _OPTIONS = (
     '--memory-limit', '2GB', '--server-memory-limit', _SERVER_MEMORY,
     '--hide-welcome-screen', '--expect-data-soon',
@@ -117,12 +112,7 @@ def free_port() -> int:
 
 
 class Viewer(contextlib.AbstractContextManager['Viewer']):
-    """
-    A viewer process in a session of its own; ViewerError is raised if there is none.
-
-    It listens on this machine only, has limits on its memory, and sends no statistics. One that
-    `stays` is for a user, and goes on when this process ends.
-    """
+    """A viewer process of bounded memory for this machine; one that `stays` outlives this one."""
 
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
         viewer = str(find_viewer())

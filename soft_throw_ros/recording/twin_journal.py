@@ -23,10 +23,9 @@ from soft_throw_ros.twin.tick_schedule import SECOND
 
 Stamps = NDArray[np.int64]
 
-DECODING_ERRORS = (
+DECODING_ERRORS = (  # of damaged bytes, or another program's messages on a topic of that name
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
 )
-"""Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
 
 
 @dataclass(frozen=True, kw_only=True)

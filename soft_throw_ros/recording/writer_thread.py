@@ -12,15 +12,9 @@ import time
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
-FLUSH_PERIOD = 0.5
-"""Period of writing, and of retries after an error of the disk. [s]"""
-
-OPEN_TIMEOUT = 3.0
-"""Longest wait for the first attempt to create the bag. [s]"""
-
-STALL_TIMEOUT = 15.0
-"""Longest time without progress of the disk before closing gives up. [s]"""
-
+FLUSH_PERIOD = 0.5  # of writing, and of retries after an error of the disk [s]
+OPEN_TIMEOUT = 3.0  # longest wait for the first attempt to create the bag [s]
+STALL_TIMEOUT = 15.0  # longest time without progress of the disk before closing gives up [s]
 _OVERHEAD = 500  # memory that a waiting message takes besides its data [bytes]
 _POLL = 0.1  # period of looking for progress at the end [s]
 
@@ -29,9 +23,9 @@ class WriterThread:
     """
     A bag, and the thread that writes it.
 
-    `open_bag` creates the bag, and is called again every `FLUSH_PERIOD` as long as it raises
-    BagError; `bag` is None until then. `capacity` is the largest amount of data that may wait for
-    the disk [bytes]; further messages are dropped. `error` is the present error of writing.
+    `open_bag` is called every `FLUSH_PERIOD` as long as it raises BagError; `bag` is None until
+    then. Messages beyond `capacity` [bytes] that wait for the disk are dropped. `error` is the
+    present error of writing.
     """
 
     def __init__(self, open_bag: Callable[[], BagWriter], *, capacity: int) -> None:
@@ -80,8 +74,7 @@ class WriterThread:
         """
         Write all messages that wait and named texts, and finish the bag, or set `error`.
 
-        If the disk takes nothing for `STALL_TIMEOUT`, the thread is left alone, and all messages
-        that are not saved are lost.
+        A disk that takes nothing for `STALL_TIMEOUT` is left alone with all that it has not saved.
         """
         self._notes = notes or {}
         self._closing.set()

@@ -33,12 +33,7 @@ but many opening brackets make it overflow its stack.)"""
 
 
 class BagFolder:
-    """
-    The files of a bag: those of a folder, in their order, or one MCAP file.
-
-    The files contain all data; `metadata.yaml` adds the ROS distribution, and names missing files.
-    BagError is raised if there is no bag in MCAP; the message gives the remedy.
-    """
+    """The files of a bag: those of a folder, in order, or one MCAP file; BagError if none is."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)

@@ -25,10 +25,7 @@ from soft_throw_ros.storage.message import BagError, Channel, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
 
 MAX_RECORD = 64 * 2**20
-"""
-Largest size of a record, of an unpacked chunk, of the index of a file, and of a file without an
-index, whose messages are kept in memory. [bytes]
-"""
+"""Largest size of a record, an unpacked chunk, an index, and a file without an index. [bytes]"""
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
@@ -102,8 +99,7 @@ def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecor
     """
     Yield the messages and all other records of a file as they were written.
 
-    Damaged bytes may cause any exception. ValueError is raised for too large a record, and if the
-    index counts more messages than there are; BagError, if a channel is not of ROS 2.
+    Damaged bytes may cause any exception; BagError is raised if a channel is not of ROS 2.
     """
     schemas: dict[int, mcap.Schema] = {}
     channels: dict[int, Channel] = {}
@@ -207,8 +203,8 @@ class BagReader(contextlib.AbstractContextManager['BagReader']):
     """
     A finished bag opened for reading: a folder with MCAP files, or one such file.
 
-    UnfinishedError is raised if a file is damaged, missing or empty, or is being written;
-    BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
+    UnfinishedError is raised if a file is damaged, missing or empty; BagError, if the bag is being
+    written, or is none of ROS 2 in MCAP. The message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -244,10 +240,9 @@ class BagReader(contextlib.AbstractContextManager['BagReader']):
         self, topics: Collection[str] | None = None, *, by_log_time: bool = True
     ) -> Iterator[Message]:
         """
-        Yield messages of topics.
+        Yield messages of topics, those of equal times, or all, in the order of writing.
 
-        They come by log time, those of equal times as they were written, or all as they were
-        written. UnfinishedError is raised where a chunk is damaged.
+        UnfinishedError is raised where a chunk is damaged.
         """
         found = [file.messages(topics, by_log_time=by_log_time) for file in self._files]
         is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(self._spans))

@@ -42,12 +42,11 @@ def stamp_of(data: bytes) -> int:
 
 
 class JointStates(NamedTuple):
-    """Messages sensor_msgs/JointState of the same joints."""
+    """Messages sensor_msgs/JointState of the same joints, in SI units."""
 
-    stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
-    names: tuple[str, ...]  # Of the joints
-    # (n, joints) In SI units; (n, 0) where the messages have none
-    position: Floats
+    stamps: NDArray[np.int64]  # (n,) of the headers [ns]
+    names: tuple[str, ...]
+    position: Floats  # (n, joints), or (n, 0) where the messages have none, as the next two
     velocity: Floats
     effort: Floats
 

@@ -26,7 +26,7 @@ def open_regular_file(path: str | Path, *, max_bytes: int) -> io.BufferedReader:
         return os.fdopen(descriptor, 'rb')
     os.close(descriptor)
     if stat.S_ISREG(status.st_mode):
-        raise _too_large(max_bytes)
+        raise OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
     raise OSError(errno.EINVAL, 'is not a regular file')
 
 
@@ -35,12 +35,8 @@ def read_regular_file(path: str | Path, *, max_bytes: int) -> bytes:
     with open_regular_file(path, max_bytes=max_bytes) as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:  # it has grown, or is one of /proc, which have no size
-        raise _too_large(max_bytes)
+        raise OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
     return content
-
-
-def _too_large(max_bytes: int) -> OSError:
-    return OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
 
 
 @contextlib.contextmanager

@@ -167,11 +167,10 @@ def test_measured_throw_is_drawn_with_its_prediction_residual_and_errors(ros, tm
 def test_damaged_messages_are_counted_and_others_are_shown(
     twin, tmp_path_factory, data
 ) -> None:
-    messages = list(twin.messages[:60])
-    index = data.draw(st.integers(0, len(messages) - 1))
+    messages, index = list(twin.messages[:60]), data.draw(st.integers(0, 59))
+    damaged, time = datas(messages[index].data), st.sampled_from([0, 1, 2**63, 2**64 - 1])
     messages[index] = messages[index]._replace(
-        data=data.draw(datas(messages[index].data)),
-        publish_time=data.draw(st.sampled_from([0, 1, 2**63, 2**64 - 1])),
+        data=data.draw(damaged), publish_time=data.draw(time)
     )
     recording, scene = record(tmp_path_factory.mktemp('damaged') / 'scene.rrd', messages)
     states = sum(item.channel.topic == '/twin/joint_states' for item in messages)
