@@ -61,6 +61,7 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.counts: Counter[Channel] = Counter()
         self.written: Counter[Channel] = Counter()  # all messages, also those of the open chunk
+        self.saved_size = 0  # of all data handed to the operating system [bytes]
         self.compression = CompressionType[compression.upper()]
         self._distribution = distribution
         self._max_size = max_size or math.inf
@@ -242,6 +243,7 @@ class _File(io.BufferedWriter):
         while rest:
             count = self._bag.insist(self.path, self.raw.write, rest)
             self.size += count
+            self._bag.saved_size += count
             rest = rest[count:]
         if data[:1] == _CHUNK:  # the library writes it at once, and its index later
             self._bag.counts = self._bag.written.copy()

@@ -41,7 +41,7 @@ def throw_text(values: Values) -> str:
     """Return the results of a throw with their errors."""
     stage = _STAGES.get(str(values.get('stage')), 'up to the release')
     rows = [name for name in _THROW_ROWS if values.get('recontacts') or name[:5] != 'last_']
-    text = f'**Throw {_cell(values.get("throw"), 1.0, None)}**, {stage}\n\n'
+    text = f'**Throw {float(values.get("throw", math.nan)):.0f}**, {stage}\n\n'
     text += _table(values, rows, {'twin': ''})
     match values.get('peak_strain'), values.get('max_strain'):
         case float(strain), float(limit) if strain > limit:

@@ -81,8 +81,9 @@ class WriterThread:
         progress, since = 0, time.monotonic()
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
             self._thread.join(_POLL)
-            if self._written_size > progress:
-                progress, since = self._written_size, time.monotonic()
+            done = self._written_size + (self.bag.saved_size if self.bag is not None else 0)
+            if done > progress:
+                progress, since = done, time.monotonic()
         if self._thread.is_alive():
             self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
             self._is_over = True

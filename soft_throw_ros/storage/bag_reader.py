@@ -230,10 +230,6 @@ class BagReader(contextlib.AbstractContextManager['BagReader']):
         self.end_time = max((last for _, last in self._spans), default=0)
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files."""
         self._streams.close()
 
     def messages(
