@@ -10,9 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
+from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
@@ -159,6 +162,8 @@ class Measurement:
         self._session = session
         self._now = now
         self._logger = node.get_logger()
+        self._counts: Counter[str] = Counter()  # at the last status
+        self._status = partial(status_to_msg, node.get_fully_qualified_name(), 'measurement')
         topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
         self._reader = HeightReader(node, topic, joints, refused)
 
@@ -193,6 +198,22 @@ class Measurement:
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
         })
+
+    def status(self) -> DiagnosticStatus:
+        """Return the status of the samples received since the last call."""
+        counts = self.count()
+        new = {name: count - self._counts[name] for name, count in counts.items()}
+        self._counts = counts
+        is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
+        text = '{samples} samples, {messages_lost} lost, {samples_refused} refused'.format(**new)
+        text += self.clock.problem and f'; {self.clock.problem}'
+        values = {
+            'at_rest': self._session.is_at_rest,
+            **{name: count for name, count in new.items() if count or '.' not in name},
+            'clock_offset': self.clock.offset_ns / SECOND,
+            'age': self.age_ns / SECOND,
+        }
+        return self._status(text, values, warn=bool(is_lossy or self.clock.problem))
 
     def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""

@@ -9,35 +9,37 @@ messages; other threads hand them over through a queue.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
+import time
 import traceback
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import Diagnostics
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
+    LatestOnlyWorker,
     recommend_for,
     RecommendationState,
     uncertainty_values,
 )
 from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
-from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
+from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
 PHASES = tuple(Phase)
@@ -46,6 +48,8 @@ PHASES = tuple(Phase)
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
 _NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
 _RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
+_MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the timing is a warning [-]
+_MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Twin(RealTimeNode):
@@ -64,6 +68,9 @@ class Twin(RealTimeNode):
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
+        self._compared: ThrowResult | None = None  # the last one
+        self._status_time = time.monotonic()
+        self._status_ticks: Counter[str] = Counter()
         self.parameters = NodeParameters(
             self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
@@ -78,9 +85,6 @@ class Twin(RealTimeNode):
         )
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
-        self._diagnostics = Diagnostics(
-            session, self.ticker, self.measurement, self.outgoing.status
-        )
         self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked.config)
@@ -174,7 +178,7 @@ class Twin(RealTimeNode):
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
         if result.stage == 'final' and result.comparison is not None:
-            self._diagnostics.compared = result
+            self._compared = result
         if warning := self._warning_of(result, is_first=is_first):
             self.get_logger().warning(warning)
         elif is_ejection:
@@ -270,7 +274,56 @@ class Twin(RealTimeNode):
                 'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
                 throttle_duration_sec=_NAME_WARNING_PERIOD,
             )
-        self.outgoing.report(TWIN_TOPICS.diagnostics, self._diagnostics.statuses())
+        self.outgoing.report(TWIN_TOPICS.diagnostics, self._statuses())
+
+    # Diagnostics, once per second (REP 107)
+
+    def _statuses(self) -> list[DiagnosticStatus]:
+        """Return the statuses for the time since the last call."""
+        pending = self.session.pending
+        text = f'{len(pending)} parameter changes wait for the next throw or ~/reset'
+        statuses = [
+            self._timing(),
+            self.outgoing.status('parameters', text, {'pending': len(pending), **pending}),
+        ]
+        if self.session.is_measured:
+            statuses += [self.measurement.status(), self._model()]
+        return statuses
+
+    def _timing(self) -> DiagnosticStatus:
+        """Return the status of the lateness and of the processor time of the ticks."""
+        times = np.array(self.ticker.take_times() or [(0, 0)]) / SECOND  # lateness and duration
+        now, ticks = time.monotonic(), self.ticker.counts.copy()
+        passed, new = now - self._status_time, ticks - self._status_ticks
+        self._status_time, self._status_ticks = now, ticks
+        late, skipped, share = new['ticks_late'], new['ticks_skipped'], times[:, 1].sum() / passed
+        text = f'{late} ticks late, {skipped} skipped; {100.0 * share:.1f} % of the time'
+        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(times) or share > _MAX_COMPUTE_SHARE
+        if not new['ticks']:
+            is_bad = True
+            text = 'no tick since the last status: no processor time, or /clock stands still'
+        percentiles = np.percentile(times, (50, 99, 100), axis=0).T.ravel()
+        names = [f'{of}_{nth}' for of in ('lateness', 'compute') for nth in ('p50', 'p99', 'max')]
+        values = {
+            **dict(zip(names, percentiles.tolist(), strict=True)),
+            **ticks,
+            'compute_part': share,
+            'rate': self.session.rate,
+            'scheduler': self.ticker.scheduler,
+        }
+        return self.outgoing.status('timing', text, values, warn=is_bad)
+
+    def _model(self) -> DiagnosticStatus:
+        """Return how well the model predicted the last throw."""
+        result = self._compared
+        if result is None or result.comparison is None:
+            return self.outgoing.status('model', 'no throw has been compared')
+        return self.outgoing.status(
+            'model',
+            f'throw {result.throw}: {comparison_text(result)}',
+            {'throw': result.throw, **known_values(result.comparison)},
+            warn=not result.comparison.is_within_threshold,
+        )
 
 
 main = partial(run, 'twin', Twin)

@@ -165,8 +165,8 @@ def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_sti
     ],
 )
 def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
-    throws = [MeasuredThrow(Estimate(speed, error), 0.75, 1e-3) for speed in speeds]
-    _, values = describe_gain(throws, throws)
+    throws = [MeasuredThrow(Estimate(speed, error), 0.75) for speed in speeds]
+    _, values = describe_gain(throws, throws, gravity=10.0)
     value, total = map(float, str(values['engine.ejection_speed']).split(' +- '))
     assert value == pytest.approx(1.5, abs=1e-3)
     assert total == pytest.approx(np.hypot(expected if error else 0.0, 1e-3), rel=0.06)
