@@ -47,12 +47,11 @@ class RunnableNode(Node):
     """
     Base class of all nodes: a node with a start, an end and an exit code.
 
-    The constructor checks the parameters, raising ParameterError in one line, and creates
-    publishers, subscriptions and services; a signal interrupts it. `start` starts threads and
-    recordings. The executor then runs callbacks until a signal comes, a thread dies, or
-    `exit_code` is set. `close` completes files, while threads, publishers and subscriptions still
-    work. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that
-    a thread stops before anything that it uses; this takes at most `EXIT_TIME`.
+    The constructor checks the parameters, raising ParameterError in one line; a signal interrupts
+    it. `start` starts threads and recordings. The executor then runs callbacks until a signal
+    comes, a thread dies, or `exit_code` is set. `close` completes files, while threads and
+    publishers still work. `destroy_node` calls the functions registered by `add_cleanup`, the
+    latest first, so that a thread stops before anything that it uses, within `EXIT_TIME`.
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
@@ -67,11 +66,10 @@ class RunnableNode(Node):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
     ) -> Service:
         """
-        Create a service as `rclpy.node.Node` does, and keep its exceptions away from the node.
+        Create a service as `rclpy.node.Node` does, whose exceptions refuse the request.
 
-        The answer is then the response so far, which is a refusal in every type of this package
-        and of parameters, with the reason in a Trigger. Unexpected exceptions are logged; rclpy's
-        parameter services raise one for a value of an unknown type, which anybody may send.
+        rclpy's parameter services raise one for a value of an unknown type, which anybody may
+        send. The response so far is a refusal in every type; a Trigger has the reason.
         """
 
         def guarded(request: Any, response: Any) -> Any:
@@ -152,7 +150,6 @@ def run(
     try:
         _init(name, arguments, usage)
         node = make(arguments=arguments)
-        node.get_logger().info(describe_discovery())
         _spin(node, is_stopping)
     except KeyboardInterrupt:
         pass
@@ -204,6 +201,7 @@ def _spin(node: RunnableNode, is_stopping: threading.Event) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.start()
+    node.get_logger().info(describe_discovery())
     while node.exit_code is None and not is_stopping.is_set():
         executor.spin_once(timeout_sec=POLL)
 

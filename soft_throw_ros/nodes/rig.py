@@ -15,11 +15,10 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.rig import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time, throw_text
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime import RealTimeNode
-from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults

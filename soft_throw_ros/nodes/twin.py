@@ -24,7 +24,12 @@ from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
+from soft_throw_ros.nodes.conversions import (
+    comparison_text,
+    encode_command,
+    throw_result_to_msg,
+    throw_text,
+)
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
@@ -36,7 +41,6 @@ from soft_throw_ros.nodes.recommendations import (
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResult
@@ -113,27 +117,24 @@ class Twin(RealTimeNode):
         if outputs.command is not None:
             send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         if outputs.phases or outputs.results or outputs.throw_field is not None:
-            self._run_in_executor(lambda: self._publish_outputs(outputs, due))
+            self._run_in_executor(self._publish_outputs, outputs, due)
 
     # Any thread
 
-    def _run_in_executor(self, job: Callable[[], None]) -> None:
-        """Run a job in the executor's thread, in the order of the calls."""
-        self._jobs.append(job)
+    def _run_in_executor(self, job: Callable[..., None], *args: object) -> None:
+        """Call a function in the executor's thread, in the order of these requests."""
+        self._jobs.append(partial(job, *args))
         self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
         """Schedule the publication of a line of the journal."""
-        self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
+        self._run_in_executor(self.outgoing.send, TWIN_TOPICS.journal, line)
 
     # Worker thread
 
     def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
         """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
-
-        def publish(state: RecommendationState) -> None:
-            self._run_in_executor(lambda: self._publish_recommendation(state))
-
+        publish = partial(self._run_in_executor, self._publish_recommendation)
         try:
             recommended = recommend_for(config, cancelled)
             if not cancelled():
