@@ -74,16 +74,12 @@ _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
 
 
 class MeasuredPositions:
-    """
-    The measured positions of plate and projectile in the last seconds, by the clock of a twin.
-
-    `joints` are their names. The attribute `clock_offset_ns` is added to the stamps [ns].
-    """
+    """The measured positions of two joints in the last seconds, by the clock of a twin."""
 
     def __init__(self, node: RunnableNode, twin: str, joints: tuple[str, str]) -> None:
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._reader = HeightReader(node, topic, joints, Counter())
-        self.clock_offset_ns = 0
+        self.clock_offset_ns = 0  # added to the stamps
         self._batches: deque[Samples] = deque(maxlen=_KEPT_READS)
 
     @property

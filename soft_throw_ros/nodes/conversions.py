@@ -40,13 +40,10 @@ _POLICIES = {
 }
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
-
 _STATE = 3  # position, velocity and acceleration
 _STAMP = struct.Struct('<iI')  # seconds and nanoseconds
 _HEADER_SIZE = 4  # of a serialized message, before its first field [byte]
-
-UNKNOWN_DEPTH = 1000
-"""Queue depth of a publisher if the bag does not contain it; few middlewares report it."""
+UNKNOWN_DEPTH = 1000  # of the queue of a publisher, which few middlewares report [messages]
 
 
 def msg_to_time(msg: TimeMessage) -> int:

@@ -29,15 +29,11 @@ from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
-from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
+PRIORITY = 10  # real-time priority (SCHED_FIFO) of the tick thread [-]
 _SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
-
-PRIORITY = 10
-"""Real-time priority (SCHED_FIFO) of the tick thread [-]."""
-
 _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
 _SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
 _SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
@@ -267,11 +263,7 @@ class RealTimeNode(RunnableNode):
         self.create_steady_timer(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
-        """Advance by one step, in the tick thread; `due` is its deadline [ns]."""
-        self.on_step(self.session.advance(), due)
-
-    def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish the outputs of a step, in the tick thread; `due` is its deadline [ns]."""
+        """Advance by one step, in the tick thread, and publish; `due` is its deadline [ns]."""
         raise NotImplementedError
 
     def on_second(self) -> None:

@@ -28,10 +28,9 @@ from rclpy.qos import DurabilityPolicy
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import distribution, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
-from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.recording.writer_thread import WriterThread
@@ -40,13 +39,8 @@ from soft_throw_ros.twin.session import RequestRejected
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
 _VIEWER_TIMEOUT = 2.0  # longest wait for the end of the viewer [s]
 _DRAIN_TIME = 0.01  # time between two calls that take the received messages [s]
-
-PUBLISHER_TIMEOUT = 2.0
-"""Time after which wanted topics without a publisher are reported. [s]"""
-
-SILENCE_LIMIT = 5
-"""Time without messages after which topics are reported although they have publishers. [s]"""
-
+PUBLISHER_TIMEOUT = 2.0  # after which wanted topics without a publisher are reported [s]
+SILENCE_LIMIT = 5  # time without messages from a process after which its topics are reported [s]
 _PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
 _MAX_NAMES = 2  # in a sentence
 

@@ -33,9 +33,8 @@ class SimulatedRig(RealTimeNode):
     """
     A session of a twin with its own parameters, measured by faulty sensors.
 
-    Effects that no model of the core has, such as a plate that rings, are computed before the
-    throw as `Deviations` and added. A trajectory of the plate replaces the motion of the engine,
-    from the first step after its stamp on; periodic throws and `Deviations` then stop.
+    `Deviations` are effects that no model of the core has, such as a plate that rings. A
+    trajectory replaces the motion of the engine; periodic throws and `Deviations` then stop.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -73,7 +72,7 @@ class SimulatedRig(RealTimeNode):
                 self.session.request_throw()
             except RequestRejected as refusal:
                 self.get_logger().warning(f'a commanded motion is not played: {refusal}')
-        super().on_tick(due)
+        self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the measurements of the sensors."""

@@ -46,9 +46,6 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-PHASES = tuple(Phase)
-"""Phases, each at the index that `~/phase_change` publishes."""
-
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
 _NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
 _RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
@@ -57,15 +54,11 @@ _MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Twin(RealTimeNode):
-    """
-    The twin of a throwing rig.
-
-    `measurement` receives samples of a real rig; `recommendation` is None while it is computed.
-    """
+    """The twin of a throwing rig."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.recommendation: RecommendationState | None = None
+        self.recommendation: RecommendationState | None = None  # while it is computed
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._throw = 0  # number of the throw of the last result
@@ -101,7 +94,7 @@ class Twin(RealTimeNode):
     def on_tick(self, due: int) -> None:
         """Read the samples that have arrived, and advance by one step."""
         self.measurement.read_messages()
-        super().on_tick(due)
+        self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
@@ -155,7 +148,7 @@ class Twin(RealTimeNode):
         """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
         for phase, stamp_ns in outputs.phases:
-            send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
+            send(TWIN_TOPICS.phase_change, stamp_ns, (float([*Phase].index(phase)),))
         if outputs.phases:
             send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
