@@ -53,9 +53,7 @@ STATES = np.array([[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]])
         marks=pytest.mark.slow,
     ),
 ])
-def test_commands_are_played_as_in_the_twin_and_within_the_limits(
-    ros, write, motion_of, limits
-) -> None:
+def test_commands_are_played_as_in_the_twin_and_within_limits(ros, write, motion_of, limits):
     twin = ros.start_twin(
         engine__motion_file=write(motions.to_csv(motion_of()), 'plate.csv'),
         engine__command='true', engine__command_lead=0.05, throw__period=0.5,

@@ -101,8 +101,8 @@ def test_other_messages_are_refused_with_a_reason(ros, twin, sensors, listener, 
         return sum(msg_to_values(status).get(name, 0) for status in statuses)
 
     ros.spin_until(lambda: reported('samples_refused') == 7, 'the counts')
-    names = ('samples', 'refused.names', 'samples_out_of_order')
-    assert [reported(name) for name in names] == [2, 2, 1]
+    assert [reported(name) for name in ('samples', 'refused.names')] == [2, 2]
+    assert reported('samples_out_of_order') == 1
     assert 'millimetres' in capfd.readouterr().err
 
 
@@ -114,14 +114,11 @@ def observe(clock: SensorClock, offset_ns: int, begin_ns: int = BEGIN) -> int:
     return sum(map(clock.observe, stamps.tolist(), times))
 
 
-@pytest.mark.parametrize(
-    ('offset_ns', 'is_corrected'),
-    [
-        (20 * MILLISECOND, True), (-300 * MILLISECOND, True), (5 * SECOND, True),
-        (BEGIN - 3600 * SECOND, True),  # since boot
-        (TOLERATED - MILLISECOND, False),  # the time of transport
-    ],
-)
+@pytest.mark.parametrize(('offset_ns', 'is_corrected'), [
+    (20 * MILLISECOND, True), (-300 * MILLISECOND, True), (5 * SECOND, True),
+    (BEGIN - 3600 * SECOND, True),  # since boot
+    (TOLERATED - MILLISECOND, False),  # the time of transport
+])
 def test_constant_offset_is_found_and_reported_once_until_it_ends(offset_ns, is_corrected) -> None:
     clock = SensorClock()
     assert observe(clock, offset_ns) == is_corrected

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of parameters as parameters of a node."""
 
-from functools import partial
 import math
 from typing import Any
 
@@ -126,7 +125,7 @@ def test_check_of_the_node_can_refuse(ros) -> None:
             raise ValueError(f'no gravity, got {settings["gravity"]}')
         return (former or 0) + 1
 
-    twin = ros.node(partial(Watched, check=check))
+    twin = ros.node(Watched, check=check)
     assert Client(ros, twin).set(gravity=0, time_scale=2) == ['no gravity, got 0.0', '']
     assert twin.changes == [{'time_scale': 2.0}]
     assert twin.parameters.checked == 2  # at the start, and for the accepted change
