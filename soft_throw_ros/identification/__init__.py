@@ -8,7 +8,7 @@ with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as 
 says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
 `layer_search`, which also tries other minima; a loss is tried, and systematic errors, which the
 tracks hardly show, are added to the errors (`systematics`).
-`ejection` computes the first release. Only `forward` calls the steppers of the core.
+`ejection` computes the first release.
 
 This package may import `twin`, `design` and the packages below them.
 """

@@ -20,7 +20,7 @@ from soft_throw_ros.configuration import files, TWIN
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
-from soft_throw_ros.identification.forward import ThrowSimulator
+from soft_throw_ros.identification.rig_model import ThrowSimulator
 from soft_throw_ros.identification.systematics import FLOORS
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
@@ -133,7 +133,7 @@ def test_fit_of_a_rig_that_does_not_throw_is_shown_and_written(command, tmp_path
     heavy = replace(RIG, engine=engine, projectile=Projectile(mass=0.05))
     time = np.arange(-0.0153, 0.0947, 5e-4)
     plate = Underdamped.of(engine).position(time)
-    tracks = np.column_stack([time, plate, ThrowSimulator().follow(heavy, time).position])
+    tracks = np.column_stack([time, plate, ThrowSimulator().follow(heavy, time).height])
     tracks[:, 1:] += 5e-6 * np.random.default_rng(2).normal(size=(time.size, 2))
     np.savetxt(path := tmp_path / 'heavy.csv', tracks, delimiter=',')
     args = (path, '--one-camera', *MEASURED, '--mass', 0.05)

@@ -38,8 +38,7 @@ def damage(bag, chunk):
 
 def test_loss_is_reported_with_its_file_size_and_exit_code(command, bag, tmp_path):
     path = damage(bag, 1)
-    out = command.run(bag, '--to', tmp_path / 'out/whole', code=1)
-    first, *_, last = out.splitlines()
+    first, *_, last = command.run(bag, '--to', tmp_path / 'out/whole', code=1).splitlines()
     assert first.startswith(f'{tmp_path}/out/whole: 100 messages')
     assert last.startswith(f'omitted: {path}: ')
     assert str(path.stat().st_size) in last

@@ -15,12 +15,20 @@ import pytest
 from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
 from twin_runs import Run
 
+LOAD = """
+from functools import partial
+
+from soft_throw_ros.commands.warm_up import load_kernels
+
+load_kernels(['measured'], say=partial(print, flush=True))
+"""
+
 
 @pytest.fixture
 def warm_up(tmp_path):
-    """Return a function that starts the command with a kernel cache of its own."""
+    """Return a function that loads a part of the kernels with a cache of its own."""
     environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    command = [sys.executable, '-m', 'soft_throw_ros', 'warm_up', 'measured']
+    command = [sys.executable, '-c', LOAD]
     return partial(
         subprocess.Popen, command, env=environment, stdout=subprocess.PIPE, text=True
     )
@@ -32,8 +40,7 @@ def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
     first, _ = warm_up().communicate()
     assert 'cached for later runs' in first
     second, _ = warm_up().communicate()
-    assert 'compiling' not in second
-    assert second.startswith('measured: ready')
+    assert second == ''
     (mark,) = (tmp_path / 'cache').rglob('measured.*.nbi')
     mark.unlink()
     with mark.with_suffix('.lock').open('w') as lock:
@@ -41,7 +48,7 @@ def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
         with warm_up() as waiting:
             assert 'another process that compiles' in waiting.stdout.readline()
             fcntl.flock(lock, fcntl.LOCK_UN)
-            assert 'ready' in waiting.stdout.read()
+    assert waiting.returncode == 0
     assert mark.exists()
 
 
