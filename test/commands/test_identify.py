@@ -5,7 +5,6 @@
 import contextlib
 from dataclasses import replace
 import io
-import itertools
 import json
 import math
 from pathlib import Path
@@ -22,6 +21,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE
 from soft_throw_ros.identification.rig_model import ThrowSimulator
 from soft_throw_ros.identification.systematics import FLOORS
+from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message
 
@@ -243,20 +243,25 @@ def test_plate_alone_gives_the_engine_with_errors_of_the_stated_noise(command, w
     assert stated['assumed'] == result['assumed']
 
 
-def joint_states(topic, times, heights, bodies=('plate', 'projectile')):
-    """Yield messages with the heights of bodies, without those that are not seen."""
-    channel = bags.channel(topic, 'sensor_msgs/msg/JointState')
-    for time, both in zip(times, np.transpose(heights).tolist(), strict=True):
-        seen = {body: z for body, z in zip(bodies, both, strict=True) if not math.isnan(z)}
-        stamp = bags.BEGIN + round(1e9 * time)
-        encoder = JointStateEncoder('camera', tuple(seen), series=1)
-        yield Message(channel, encoder.encode(stamp, list(seen.values())), stamp, stamp)
+def write_bag(path, *topics):
+    """Write a bag with the heights of bodies, without those that are not seen."""
+    messages = []
+    for topic, times, heights, *bodies in topics:
+        channel = bags.channel(topic, 'sensor_msgs/msg/JointState')
+        for time, both in zip(times, np.transpose(heights).tolist(), strict=True):
+            names = bodies or ('plate', 'projectile')
+            seen = {body: z for body, z in zip(names, both, strict=True) if not math.isnan(z)}
+            stamp = bags.BEGIN + round(1e9 * time)
+            encoder = JointStateEncoder('camera', tuple(seen), series=1)
+            data = encoder.encode(stamp, list(seen.values()))
+            messages.append(Message(channel, data, stamp, stamp))
+    return bags.write(path, messages)
 
 
-def recorded(starts, noise=2e-5, rest=0.6):
+def recorded(*starts, noise=2e-5):
     """Return times and heights of a record in which the rig returns to rest after every throw."""
     rng = np.random.default_rng(3)
-    time = np.arange(0.0, starts[-1] + rest, 5e-4)
+    time = np.arange(0.0, starts[-1] + 0.1, 5e-4)
     heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
     history = follow(RIG, until=0.25)
     for start in starts:
@@ -268,9 +273,9 @@ def recorded(starts, noise=2e-5, rest=0.6):
 
 
 def test_bag_gives_its_throws(command, tmp_path):
-    time, heights = recorded(starts=(0.2, 0.6), rest=0.1)
+    time, heights = recorded(0.2, 0.6)
     heights[1, heights[1] > 0.04] = np.nan  # above the field of view of the camera
-    folder = bags.write(tmp_path / 'bag', joint_states('/rig/joint_states', time, heights))
+    folder = write_bag(tmp_path / 'bag', ('/rig/joint_states', time, heights))
     result = command.json(folder, '--thickness', 12e-3)
     assert result['sources'] == ['bag, throw 1', 'bag, throw 2']
     fit = dict(zip(result['fit']['names'], result['fit']['values'], strict=True))
@@ -284,10 +289,9 @@ def test_bag_gives_its_throws(command, tmp_path):
 @pytest.mark.slow
 def test_last_throw_in_the_bag_of_an_exact_twin_gives_its_rig(command, tmp_path):
     # No noise and few samples per period: the flight is the smoothest phase
-    time, heights = recorded(starts=(0.2, 0.8, 1.4), noise=0.0)
-    messages = joint_states('/twin/joint_states', time[::2], heights[:, ::2])
-    path = bags.write(tmp_path / 'bag', messages) / 'bag_0.mcap'
-    last = command.json(path, '--thickness', 12e-3, '--from', 1.2)
+    time, heights = recorded(0.2, 0.8, noise=0.0)
+    bag = write_bag(tmp_path / 'bag', ('/twin/joint_states', time[::2], heights[:, ::2]))
+    last = command.json(bag / 'bag_0.mcap', '--thickness', 12e-3, '--from', 0.6)
     for name, expected in zip(DEFAULT_FREE, TRUTH, strict=True):
         result, error = value(last, name)
         # One throw hardly distinguishes wave speed and thickness
@@ -295,37 +299,38 @@ def test_last_throw_in_the_bag_of_an_exact_twin_gives_its_rig(command, tmp_path)
         assert result == pytest.approx(expected, rel=1e-4, abs=slack)
 
 
+def amplitude(result):
+    return pytest.approx(value(result, 'engine.amplitude')[0], rel=0.02)
+
+
 def test_measured_rig_is_the_default_among_several(command, tmp_path, write):
-    time, heights = recorded(starts=(0.2,), rest=0.1)
-    topics = (
-        joint_states('/a/joint_states', time, heights),
-        joint_states('/b/joint_states', time, 0.5 * heights, bodies=('plate', 'other')),
-        joint_states('/c/joint_states', time, heights, bodies=('arm', 'hand')),
+    time, heights = recorded(0.2)
+    folder = write_bag(
+        tmp_path / 'bag', ('/a/joint_states', time, heights),
+        ('/b/joint_states', time, 0.5 * heights, 'plate', 'other'),
+        ('/c/joint_states', time, heights, 'arm', 'hand'),
     )
-    folder = bags.write(tmp_path / 'bag', itertools.chain(*topics))
-    message = command.refused(folder)
-    assert message.startswith(f'{folder}: ')
-    assert '/a/joint_states, /b/joint_states (`topic` of --fit-file)' in message
-    result = command.json(folder, '--fit-file', write('topic: /b/joint_states', 'b.yaml'))
-    assert value(result, 'engine.amplitude')[0] == pytest.approx(0.9e-3, rel=0.02)
+    message = f'{folder}: .*/a/joint_states, /b/joint_states .`topic` of --fit-file'
+    assert re.match(message, command.refused(folder))
     other = write('topic: /c/joint_states', 'c.yaml')
     assert '/c/joint_states' in command.refused(folder, '--fit-file', other)
-    topics = (
-        joint_states('/twin/joint_states', time, 2.0 * heights),
-        joint_states('/twin/measured_joint_states', time, heights, bodies=('plate', 'other')),
+    chosen = command.json(folder, '--fit-file', write('topic: /b/joint_states', 'b.yaml'))
+    assert amplitude(chosen) == 0.9e-3
+    folder = write_bag(
+        tmp_path / 'measured', ('/twin/joint_states', time, 2.0 * heights),
+        ('/twin/measured_joint_states', time, heights, 'plate', 'other'),
     )
-    result = command.json(bags.write(tmp_path / 'measured', itertools.chain(*topics)))
-    assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
+    assert amplitude(command.json(folder)) == 1.8e-3
 
 
 def test_unreadable_messages_of_a_bag_are_reported_and_a_cut_bag_is_refused(command, tmp_path):
-    time, heights = recorded(starts=(0.2,), rest=0.1)
-    messages = list(joint_states('/rig/joint_states', time, heights, bodies=('plate', 'other')))
-    unreadable = b'\0\1\0\0' + bytes(range(40))
-    messages += [messages[0]._replace(data=unreadable)] * 3
-    (path,) = bags.write(tmp_path / 'bag', messages).glob('*.mcap')
+    folder = write_bag(tmp_path / 'a', ('/rig/joint_states', *recorded(0.2), 'plate', 'other'))
+    with BagReader(folder) as reader:
+        messages = list(reader.messages())
+    messages += [messages[0]._replace(data=b'\0\1\0\0' + bytes(range(40)))] * 3
+    path = bags.write(tmp_path / 'bag', messages) / 'bag_0.mcap'
     result = command.json(path)
-    assert value(result, 'engine.amplitude')[0] == pytest.approx(1.8e-3, rel=0.02)
+    assert amplitude(result) == 1.8e-3
     (note,) = result['notes']
     assert command.err == f'identify: {note}\n'
     for part in (str(path), '3 messages', '/rig/joint_states', 'sensor_msgs/msg/JointState'):

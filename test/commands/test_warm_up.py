@@ -15,32 +15,18 @@ import pytest
 from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
 from twin_runs import Run
 
-LOAD = """
-from functools import partial
-
-from soft_throw_ros.commands.warm_up import load_kernels
-
-load_kernels(['measured'], say=partial(print, flush=True))
-"""
-
-
-@pytest.fixture
-def warm_up(tmp_path):
-    """Return a function that loads a part of the kernels with a cache of its own."""
-    environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
-    command = [sys.executable, '-c', LOAD]
-    return partial(
-        subprocess.Popen, command, env=environment, stdout=subprocess.PIPE, text=True
-    )
+LOAD = "from soft_throw_ros.commands.warm_up import load_kernels as f; f(['measured'], say=print)"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_kernels_are_compiled_once_and_reported(warm_up, tmp_path) -> None:
-    first, _ = warm_up().communicate()
-    assert 'cached for later runs' in first
-    second, _ = warm_up().communicate()
-    assert second == ''
+def test_kernels_are_compiled_once_and_reported(tmp_path) -> None:
+    warm_up = partial(
+        subprocess.Popen, [sys.executable, '-u', '-c', LOAD], stdout=subprocess.PIPE, text=True,
+        env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
+    )
+    assert 'cached for later runs' in warm_up().communicate()[0]
+    assert warm_up().communicate()[0] == ''
     (mark,) = (tmp_path / 'cache').rglob('measured.*.nbi')
     mark.unlink()
     with mark.with_suffix('.lock').open('w') as lock:

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks with known truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import itertools

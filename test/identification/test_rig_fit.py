@@ -3,7 +3,6 @@
 """Fitting a whole rig to throws."""
 
 from dataclasses import replace
-import re
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     FitDescription,
-    FIXED,
     FREE,
     IDEAL_BENCH,
     LOSS,
@@ -54,6 +52,7 @@ def test_values_of_rigs_are_found_within_their_errors_without_a_guess(fits):
     pulls = []
     for rig, found in fits.values():
         assert fit_warnings(found.fit) == []
+        assert LOSS not in found.fit
         truth = values_of(rig, PARAMETERS)
         for name, (value, error) in found.estimates().items():
             pulls.append(abs(value - truth[name]) / error)
@@ -89,14 +88,11 @@ def followed(see, rig, *, rate=5000.0, **options):
     return see(time, Underdamped.of(rig.engine).position(time - 0.0153), height, **options)
 
 
-@pytest.mark.parametrize(
-    ('layer', 'amplitude', 'description'),
-    [
-        ({}, 2e-3, {**IDEAL_BENCH, LOSS: FREE}),  # the loss may be zero
-        pytest.param({'loss_tangent': 0.1}, 2e-3, {}, marks=pytest.mark.slow),
-        pytest.param({'stress_strain_law': 'neo_hookean'}, 5e-3, {}, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(('layer', 'amplitude', 'description'), [
+    ({}, 2e-3, {**IDEAL_BENCH, LOSS: FREE}),  # the loss may be zero
+    pytest.param({'loss_tangent': 0.1}, 2e-3, {}, marks=pytest.mark.slow),
+    pytest.param({'stress_strain_law': 'neo_hookean'}, 5e-3, {}, marks=pytest.mark.slow),
+])
 def test_loss_is_found_and_large_strain_is_fitted_if_stated(see, layer, amplitude, description):
     rig = Rig(engine=Engine(amplitude=amplitude), layer=Layer(**layer))
     known = replace(KNOWN, layer=replace(rig.layer, wave_speed=50.0, loss_tangent=0.0))
@@ -110,35 +106,18 @@ def test_loss_is_found_and_large_strain_is_fitted_if_stated(see, layer, amplitud
     assert fit_warnings(found.fit) == [] or not layer
 
 
-@pytest.mark.parametrize(('noise', 'is_fitted'), [(1.2e-4, True), (1.5e-4, False)])
-def test_loss_is_fitted_if_it_gains_six_more_than_the_logarithm_of_the_samples(
-    see, noise, is_fitted
-):
-    tracks = [followed(see, Rig(layer=Layer(loss_tangent=0.02)), rate=1000.0, noise=noise)]
-    described = {**IDEAL_BENCH, 'layer.wave_speed': FIXED}
-    del described[LOSS]
-    without, with_loss = (
-        fit_rig(tracks, Rig(), FitDescription({**described, LOSS: treatment})).fit
-        for treatment in (FIXED, FREE)
-    )
-    gain = without.chi2 - with_loss.chi2 - np.log(160)
-    assert gain > 6.0 if is_fitted else gain < 6.0
-    assert (LOSS in fit_rig(tracks, Rig(), FitDescription(described)).fit) is is_fitted
-
-
 def test_throws_have_separate_amplitudes(make_throw):
     amplitudes = (2.0e-3, 1.94e-3, 2.05e-3)
-    rigs = [Rig(engine=Engine(amplitude=amplitude)) for amplitude in amplitudes]
     found = fit_rig([
-        make_throw(rig, rate=2000.0, duration=0.06, seed=n) for n, rig in enumerate(rigs)
+        make_throw(Rig(engine=Engine(amplitude=size)), rate=2000.0, duration=0.06, seed=number)
+        for number, size in enumerate(amplitudes)
     ], KNOWN)
     assert not found.fit.is_mismatch
-    for number, truth in enumerate(amplitudes, 1):
-        amplitude = found.fit[f'engine.amplitude[{number}]']
-        assert amplitude.value == pytest.approx(truth, abs=4.0 * amplitude.error)
     mean = found.estimates()['engine.amplitude']
     assert mean.value == found.rig.engine.amplitude
-    assert mean.value == pytest.approx(np.mean(amplitudes), abs=4.0 * mean.error)
+    own = (found.fit[f'engine.amplitude[{number}]'] for number in (1, 2, 3))
+    for truth, (value, error) in ((np.mean(amplitudes), mean), *zip(amplitudes, own, strict=True)):
+        assert value == pytest.approx(truth, abs=4.0 * error)
 
 
 def test_tracks_without_information_on_the_layer_are_refused(make_throw):
@@ -147,8 +126,8 @@ def test_tracks_without_information_on_the_layer_are_refused(make_throw):
     still = Track(time=seen.plate.time, position=scatter)
     for throws, value in (
         ([replace(seen, projectile=None)], 'layer.wave_speed cannot be found without'),
-        ([seen, replace(seen, name='still.csv', plate=still)], 'still.csv: the plate'),
         ([], 'layer.wave_speed cannot be found without'),
+        ([seen, replace(seen, name='still.csv', plate=still)], 'still.csv: the plate'),
     ):
-        with pytest.raises(FitError, match=re.escape(value)):
+        with pytest.raises(FitError, match=value):
             fit_rig(throws, KNOWN)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model of a fit: trajectories, derivatives, and the speed in flight."""
 
-import re
 
 import numpy as np
 import pytest
@@ -35,37 +34,29 @@ def test_trajectory_agrees_with_the_exact_model_at_times_in_any_order(rig):
     assert kinds[0] == kinds[1]
 
 
-def test_landing_is_the_first_one_on_the_way_down():
+def test_landing_is_the_first_one_on_the_way_down_and_slow_throws_are_refused():
     landing_time, exact = ThrowSimulator().landing_time, method_of_steps.follow(Rig())
     assert landing_time(Rig(), 0.5) == pytest.approx(exact.events[-1].time, abs=1e-5)
     assert landing_time(Rig(), 0.1) == np.inf
     assert landing_time(CAUGHT_UP, 0.5) == np.inf  # it never falls
-
-
-def test_throw_beyond_the_time_budget_is_refused():
     slow = Rig(engine=Engine(frequency=0.2), layer=Layer(thickness=1e-3, wave_speed=50.0))
-    with pytest.raises(FitError, match=re.escape('30 s of a layer')):
-        ThrowSimulator().follow(slow, np.array([0.0, 30.0]))
+    with pytest.raises(FitError, match='30 s of a layer'):  # beyond the time for a simulation
+        landing_time(slow, 30.0)
 
 
-def test_model_of_two_throws_has_right_derivatives_priors_and_cuts(make_throw):
+def test_model_of_two_throws_has_right_derivatives_and_cuts(make_throw):
     delay = 'projectile.delay'
-    treatments = {
+    description = FitDescription({
+        **IDEAL_BENCH,
         'engine.amplitude': FREE._replace(is_per_throw=True),
         'layer.thickness': Treatment(True, error=1e-4),
         'projectile.mass': Treatment(True, error=0.02, is_relative=True),
         delay: Treatment(True, error=1e-4),
         'plate.drift': Treatment(True, error=0.02, is_per_throw=True),
-    }
+    })
     throws = [make_throw(Rig(), rate=1000.0, duration=0.05, start=s) for s in (0.0102, 0.0113)]
-    description = FitDescription({**IDEAL_BENCH, **treatments})
     model = fit_plates(throws, Rig(), description, ThrowSimulator())
     names, values = model.names, model.start()
-    priors = model.fit(values, max_evaluations=1).known
-    assert {names[index]: prior.error for index, prior in priors.items()} == {
-        'layer.thickness': 1e-4, 'projectile.mass': 0.02 * Rig().projectile.mass, delay: 1e-4,
-        'plate.drift[1]': 0.02, 'plate.drift[2]': 0.02,
-    }
     values[[names.index(delay), names.index('plate.drift[1]')]] += [3e-5, 0.01]
     jacobian = model.jacobian(values)
     assert jacobian.shape == (model.predict(values).size, len(names))

@@ -45,17 +45,14 @@ def test_pictures_are_read_with_all_their_bits(tmp_path, files):
     np.testing.assert_array_equal(list(read_pictures(str(tmp_path))), STACK)
 
 
-@pytest.mark.parametrize(
-    ('name', 'content', 'message'),
-    [
-        ('none.avi', None, 'No such file'),
-        ('text.avi', b'hello', 'cannot be read by'),
-        ('empty.mp4', b'', 'cannot be read by'),
-        ('bad.png', b'hello', 'cannot be read by'),
-        ('tracks.csv', b'1,2', 'must be a video or a folder of pictures'),
-        ('bad.cine', b'CI' + bytes(100), 'cannot be read by'),
-    ],
-)
+@pytest.mark.parametrize(('name', 'content', 'message'), [
+    ('none.avi', None, 'No such file'),
+    ('text.avi', b'hello', 'cannot be read by'),
+    ('empty.mp4', b'', 'cannot be read by'),
+    ('bad.png', b'hello', 'cannot be read by'),
+    ('tracks.csv', b'1,2', 'must be a video or a folder of pictures'),
+    ('bad.cine', b'CI' + bytes(100), 'cannot be read by'),
+])
 def test_file_that_is_no_video_is_refused(tmp_path, name, content, message):
     path = tmp_path / name
     if content is not None:
