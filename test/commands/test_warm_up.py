@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compilation of each kernel once, by the first process."""
 
-from __future__ import annotations
-
 import fcntl
 from functools import partial
 import os
@@ -20,7 +18,7 @@ LOAD = "from soft_throw_ros.commands.warm_up import load_kernels as f; f(['measu
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_kernels_are_compiled_once_and_reported(tmp_path) -> None:
+def test_kernels_are_compiled_once_and_reported(tmp_path):
     warm_up = partial(
         subprocess.Popen, [sys.executable, '-u', '-c', LOAD], stdout=subprocess.PIPE, text=True,
         env=os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')},
@@ -38,7 +36,7 @@ def test_kernels_are_compiled_once_and_reported(tmp_path) -> None:
     assert mark.exists()
 
 
-def test_warm_up_leaves_nothing_to_compile_or_load() -> None:
+def test_warm_up_leaves_nothing_to_compile_or_load():
     load_kernels()
     assert missing_parts() == []
     with event.install_recorder('numba:compiler_lock') as recorder:
