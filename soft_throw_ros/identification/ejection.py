@@ -68,8 +68,8 @@ def releases_of(result: RigFit) -> list[Release]:
         for name, column in columns.items():
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
-            found = with_floor(f'ejection.{name}', Estimate(value, error), result.growth)
-            estimates[name] = found
+            found = Estimate(value, error)
+            estimates[name] = with_floor(f'ejection.{name}', found, result.growth)
         share = float(chosen.sum() / is_released.sum())
         return Release(**estimates, echoes=count, probability=share)
 

@@ -73,11 +73,7 @@ class Trajectory(NamedTuple):
 
 
 class ThrowSimulator:
-    """
-    Simulate throws until a deadline; raise FitError after it.
-
-    The deadline is in seconds of the processor time of this thread, from now.
-    """
+    """Simulate throws within seconds of processor time of this thread; then raise FitError."""
 
     def __init__(self, seconds: float = math.inf) -> None:
         self._deadline = thread_time() + seconds
