@@ -239,7 +239,7 @@ def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> 
         count = stepper.advance_to(time)
         if until is not None:
             continue
-        surface = stepper.surface_position
+        surface = float(stepper.read_layer()[0, -1])
         if count > event_count:
             event_count, last = count, stepper.events(count - 1)[0]
             if last.kind == 'landing':
