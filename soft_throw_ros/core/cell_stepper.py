@@ -21,11 +21,10 @@ The step h is the time in which the fastest wave crosses a cell, or a little les
 no dispersion. :math:`\beta` is 1/4 (average acceleration) in a sheet that is crossed in less than
 a step, otherwise 0.
 
-The projectile leaves when the contact force, its inertia and weight, falls below zero. In flight a
-dashpot in the top cell takes away the velocity that alternates from step to step after a release;
-in one cell it is a change of second order. Nodes meet when the gap is closed at the end of a step,
-and are put where momentum puts them, at the common velocity, so that later events are of second
-order, too. The grid is up to one step ahead of the requested time.
+The projectile leaves when the contact force, its inertia and weight, falls below zero. Nodes meet
+when the gap is closed at the end of a step, and are put where momentum puts them, at the common
+velocity, so that later events are of second order, too; they are of first order in shocks. The
+grid is up to one step ahead of the requested time.
 
 References
 ----------
@@ -274,10 +273,9 @@ def _prepare(
     _cut(s, nodes, counts, sheets)
     top = s.collision_node = s.cells
     nodes[ROW.mass, top + 1] = mass
-    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
+    # In flight half of the top's momentum is lost in half a step, which ends its alternation
     nodes[ROW.viscosity, top - 1] += 2.0 / step * nodes[ROW.mass, top]
-    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
-    # such cells part meet as one.
+    # Nodes that only stiff cells part meet as one: a jump of stress there is levelled out at once
     while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
         s.collision_node -= 1
     for j in range(s.collision_node, top + 1):
@@ -285,8 +283,7 @@ def _prepare(
     _factorise(s, nodes)
     s.rest_height = nodes[ROW.rest_height, top]
     s.loads[2] = mass * gravity
-    for k in range(3):
-        s.forces[0, k], s.forces[1, k] = -mass * gravity, mass * gravity
+    s.forces[0, :], s.forces[1, :] = -mass * gravity, mass * gravity
 
 
 @inlined
@@ -565,9 +562,8 @@ def _stored_energy(core: Any, nodes: Any) -> float:
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[ROW.position], nodes[ROW.speed]
-    weight = s.mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
-    total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
+    total += s.mass * s.gravity * (position[0] + position[s.cells + 1] - position[s.cells])
     remainder = (1.0 - s.fraction) * s.step
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
@@ -620,11 +616,9 @@ def _cut_layers(
     its sheets the number of cells, the length of a cell [m], and the rows up to `Row.mass`.
     """
     shares = np.array([
-        (
-            sheet.thickness / layer.thickness, sheet.mass / layer.mass,
-            sheet.crossing_time / layer.crossing_time,
-            sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0,
-        )
+        (sheet.thickness / layer.thickness, sheet.mass / layer.mass,
+         sheet.crossing_time / layer.crossing_time,
+         sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0)
         for sheet in layer.sheets
     ]).T
     scales, whole = scales_of(values), values['thickness']
@@ -666,8 +660,7 @@ def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
 
 def _cells_in_real_time(rig: Rig) -> int:
     """Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3."""
-    # Of updates, over the square of the cells
-    rate = 1.0 / float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])
+    rate = 1.0 / float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])  # with one cell
     updates, unit = _CELLS**2 * rate, 'cell updates per second'
     stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
@@ -684,9 +677,8 @@ def throw_batch(
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    Arguments are as of `_cut_layers`, the result is that of `stepper.follow_batch`. The number of
-    cells, 8 to `MAX_CELLS`, is chosen for each throw by default, for errors of 1e-4. Errors are of
-    second order, but of first order in shocks.
+    Arguments are as of `_cut_layers`, with 8 to `MAX_CELLS` cells, or by default so many as errors
+    of 1e-4 need; the result is that of `stepper.follow_batch`.
     """
     if cells is not None:
         stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
