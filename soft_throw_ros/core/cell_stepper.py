@@ -242,7 +242,7 @@ def _solve(s, nodes):
     if end < first:
         return
     if s.has_implicit:
-        for j in range(s.cells):
+        for j in range(first - 1, end):
             momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
             nodes[w, j + 1] += momentum
             if j > 0:
@@ -310,16 +310,15 @@ def _elastic_tension(s, nodes):
 def _update_maxwell(s, nodes):
     """Add the tension of the Maxwell elements, by the trapezoidal rule."""
     tension = ROW.tension + (s.index & 1)
-    for element in range(3):
-        gain = s.maxwell_gain[element]
-        decay = 2.0 * gain - 1.0
-        row, stiffness = ROW.maxwell_stretch + element, ROW.maxwell_stiffness + element
-        for j in range(nodes.shape[1] - 1):
-            change = _across(nodes, ROW.displacement, j) - nodes[ROW.previous_stretch, j]
-            nodes[row, j] = decay * nodes[row, j] + gain * change
-            nodes[tension, j] += nodes[stiffness, j] * nodes[row, j]
+    gains = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
     for j in range(nodes.shape[1] - 1):
-        nodes[ROW.previous_stretch, j] = _across(nodes, ROW.displacement, j)
+        stretch = _across(nodes, ROW.displacement, j)
+        change = stretch - nodes[ROW.previous_stretch, j]
+        nodes[ROW.previous_stretch, j] = stretch
+        for element in range(3):
+            row, gain = ROW.maxwell_stretch + element, gains[element]
+            nodes[row, j] = (2.0 * gain - 1.0) * nodes[row, j] + gain * change
+            nodes[tension, j] += nodes[ROW.maxwell_stiffness + element, j] * nodes[row, j]
 
 
 @inlined
@@ -398,7 +397,8 @@ def _march(s, nodes, path, events, goal):
     step, link = s.step, s.cells
     while s.index < goal and s.events <= events.shape[0]:
         before, now = s.index & 1, 1 - (s.index & 1)
-        s.contact_before[:] = nodes[ROW.displacement, link:]
+        for k in range(2):
+            s.contact_before[k] = nodes[ROW.displacement, link + k]
         for j in range(nodes.shape[1]):
             velocity = 2.0 * nodes[ROW.mean_velocity + before, j] - nodes[ROW.velocity, j]
             nodes[ROW.velocity, j] = velocity  # v^{n+1/2} = v^{n-1/2} + h a^n
