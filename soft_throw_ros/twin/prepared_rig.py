@@ -148,7 +148,7 @@ def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
     """Return the energies of a rig before its first release, as in `interface.ENERGIES` [J]."""
     rig, total = stepper.rig, stepper.stored_energy()
     state = state_of(stepper)
-    rise = state.projectile_position - stepper.rest_position
+    rise = state.projectile_position - rig.rest_height
     projectile = rig.projectile.mass * (0.5 * state.projectile_velocity**2 + rig.gravity * rise)
     return stepper.plate_work, projectile, total - projectile, total
 
