@@ -43,7 +43,7 @@ def shown_throw() -> Throw:
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
     """Return heights and strains of material points of the layer, shape (time, points)."""
     path = throw.trajectory(time, points=points)
-    rest = path.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
+    rest = path.depth * (throw.rig.rest_height / throw.rig.layer.thickness)
     rise = cumulative_trapezoid(path.layer_velocity, time, axis=0, initial=0.0)
     return rest + rise, path.strain
 

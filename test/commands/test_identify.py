@@ -257,7 +257,7 @@ def recorded(starts, noise=2e-5, rest=0.6):
     """Return times and heights of a record in which the rig returns to rest after every throw."""
     rng = np.random.default_rng(3)
     time = np.arange(0.0, starts[-1] + rest, 5e-4)
-    heights = np.tile([[0.0], [12e-3 - RIG.static_sag]], time.size)
+    heights = np.tile([[0.0], [RIG.rest_height]], time.size)
     history = follow(RIG, until=0.25)
     for start in starts:
         since = time - start

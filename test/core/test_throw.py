@@ -68,7 +68,8 @@ def test_paths_and_fields_of_a_throw_agree_with_its_numbers():
     fields = throw.trajectory(np.linspace(0.0, throw.ejection_time, 101), points=65)
     assert fields.strain.shape == fields.layer_velocity.shape == (101, fields.depth.size)
     assert fields.depth[-1] == throw.rig.layer.thickness
-    assert fields.strain[0] == pytest.approx(-throw.rig.static_sag / throw.rig.layer.thickness)
+    at_rest = throw.rig.rest_height / throw.rig.layer.thickness - 1.0
+    assert fields.strain[0] == pytest.approx(at_rest)
     assert np.abs(fields.strain).max() == pytest.approx(throw.peak_strain, rel=1e-2)
 
 
