@@ -262,7 +262,7 @@ def _find(wave, c, b):
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
         underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
-        if abs(steady) > _GROWTH_LIMIT or underflows:
+        if steady.real**2 + steady.imag**2 > _GROWTH_LIMIT**2 or underflows:
             break
         older = (k - 1) * b[max(k - 2, 0)]
         b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * _INVERSE[k]

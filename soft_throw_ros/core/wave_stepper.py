@@ -575,14 +575,14 @@ def throw_batch(
     )
     steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
     columns = steps, *_constants_of(rigs)
+    step, advance = rigs.crossing_time / steps, _advance_compiled()
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
         _prepare(core, *(column[n] for column in columns))
         waves = np.zeros((2, 4 * steps[n] + _SPARE_STEPS))
-        return waves, _STEP_COST * steps[n] / rigs.crossing_time[n]
+        return waves, _STEP_COST / step[n]
 
-    latest, advance = until + rigs.crossing_time / steps, _advance_compiled()
-    return stepper.follow_batch(RECORD, advance, prepare_throw, values, latest, cancelled)
+    return stepper.follow_batch(RECORD, advance, prepare_throw, values, until + step, cancelled)
 
 
 def warm_up() -> None:
