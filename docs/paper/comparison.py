@@ -26,7 +26,7 @@ import scheme
 from scipy.optimize import bisect, minimize_scalar
 from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, STANDARD_GRAVITY, values_of
+from soft_throw_ros.core.rig import Engine, Layer, Rig, scales_of, values_of
 from soft_throw_ros.core.wave_stepper import throw_batch
 from style import replace_part, table
 
@@ -161,7 +161,7 @@ def _rig() -> Iterator[Row]:
     engines = [Engine(frequency=series.frequency) for series in (third, SERIES[0])]
     accelerations = [item.speed_scale * item.angular_frequency for item in engines]
     yield Row('acceleration of the plate, A omega^2 (g)', 'text', '3 to 16',
-              np.array(accelerations) / STANDARD_GRAVITY, 1, '16 g at 63.2 Hz would be 1 mm',
+              np.array(accelerations) / Rig.gravity, 1, '16 g at 63.2 Hz would be 1 mm',
               (2.5, 16.5))
     yield Row('wave speed in the projectile, c_r (m/s)', 'text', '1700',
               math.sqrt(scheme.MODULUS / PROJECTILE_DENSITY), 0, 'E_r = 3.6 GPa and 1300 kg/m3')

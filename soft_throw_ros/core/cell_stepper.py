@@ -45,7 +45,7 @@ from soft_throw_ros.core import material, stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
 from soft_throw_ros.core.plate_kernels import motion_at
-from soft_throw_ros.core.rig import Layer, Rig, scales_of, section_of, values_of
+from soft_throw_ros.core.rig import Layer, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import Stepper
 
 Floats = NDArray[np.float64]
@@ -622,8 +622,7 @@ def _cut_layers(
         for sheet in layer.sheets
     ]).T
     scales, whole = scales_of(values), values['thickness']
-    whole_mass = values['density'] * section_of(values['diameter']) * whole
-    wholes = whole, whole_mass, scales.crossing_time, values['loss_tangent']
+    wholes = whole, scales.layer.mass, scales.crossing_time, values['loss_tangent']
     thickness, mass, crossing, losses = np.reshape(wholes, (4, -1, 1)) * shares[:, None]
     stiffness, none = mass / crossing**2, np.zeros_like(mass)
     relaxed, maxwell, lag = none + 1.0, np.zeros((3, *none.shape)), none
@@ -632,7 +631,7 @@ def _cut_layers(
         relaxed = np.array([fit.relaxed for fit in fits]).reshape(none.shape)
         maxwell = np.array([fit.strengths for fit in fits]).T.reshape(maxwell.shape)
     else:
-        lag = losses / np.reshape(scales.angular_frequency, (-1, 1))
+        lag = losses / np.reshape(scales.engine.angular_frequency, (-1, 1))
     is_curved = layer.stress_strain_law == 'neo_hookean'
     # The fastest wave is that of the largest stiffness of any state
     steepest = (1.0 + 2.0 / _MIN_STRETCH**3) / 3.0 if is_curved else 1.0
@@ -687,8 +686,8 @@ def throw_batch(
     needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
     cells = cells or np.minimum(needed, _MAX_BATCH_CELLS)
     steps, counts, _, sheets = _cut_layers(values, layer, cells)
-    omega = scales.angular_frequency
-    peak_force = values['amplitude'] * omega * scales.impedance
+    omega = scales.engine.angular_frequency
+    peak_force = values['amplitude'] * omega * scales.layer.impedance
     columns = counts, sheets, steps, values['mass'], values['gravity'], omega, peak_force
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:

@@ -3,8 +3,7 @@
 r"""
 Exact time and speed of the first release of a rigid projectile (Sec. IV of the paper).
 
-The closed form takes any number of crossings of the wave. Later events, peak strains, fields and
-measured plates need `soft_throw_ros.core.wave_stepper`.
+It takes any number of crossings of the wave. Later events and loads need `core.wave_stepper`.
 
 Notes
 -----
@@ -33,13 +32,12 @@ one more interval costs :math:`O(k)` and no transcendental function. The contact
 falls to :math:`-g \tau`. The paper's Eqs. (11)-(13) are :math:`k = 0`, its Eq. (14) is
 :math:`k = 1`, where it stops.
 
-The interval of release is found from G at the ends of intervals; within it the root is bracketed
-and polished by Newton's iteration. In interval 0 the bracket is certain. Later, G may dip to 0 in
-an interval at whose end it is positive again; in dense scans of 10^5 throws it did so only with G
-at one end of the interval below 0.28 :math:`\omega t_s` (with gravity: 0.8 times the largest
-steady amplitude so far) and rising at its end. Hence every minimum is looked for if G comes below
-1 (with gravity: 2) and does not clearly fall. With gravity G may also be negative at the end for
-the second time (never seen for k <= 3 and :math:`\kappa > 4`).
+The interval of release is found from G at the ends of intervals. After interval 0, G may dip to 0
+in an interval at whose end it is positive again; in dense scans of 10^5 throws only with G at one
+end below 0.28 :math:`\omega t_s` (with gravity: 0.8 times the largest steady amplitude so far) and
+rising at its end. Hence every minimum is looked for if G comes below 1 (with gravity: 2) and does
+not clearly fall. With gravity G may also be negative at the end for the second time (never seen
+for k <= 3 and :math:`\kappa > 4`).
 
 """
 
@@ -64,23 +62,14 @@ MAX_INTERVALS = 2048
 _GROWTH_LIMIT = 1e4
 """Largest |Q_k|; alpha loses at most 1e-14 |Q_k|, and |Q_k| is 34 at most within the box. [-]"""
 
-_ROUNDING = 2e-15
-"""Rounding error of the speed in an interval, over the amplitude of the steady wave. [-]"""
-
-_ACCURACY = 1e-9
-"""Promised relative error of alpha. [-]"""
+_ROUNDING = 2e-6
+"""Rounding of the speed in an interval over the steady wave, over the promised 1e-9. [-]"""
 
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
 
-_BATCH = 2048
-"""Throws that a thread computes at once: some milliseconds."""
-
 _INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
 """Reciprocals of 1, 1, 2, 3 ..."""
-
-_FIRST = np.int64(0)
-"""Number of the first interval; a literal 0 would compile its functions a second time."""
 
 
 class FirstRelease(NamedTuple):
@@ -135,13 +124,6 @@ def first_releases(
 
     Examples
     --------
-    Layers of one material, twice as thick from one to the next, under the same projectile:
-
-    >>> thickness = np.array([1.0, 2.0, 4.0])
-    >>> throws = first_releases(mass_ratio=0.8 / thickness, speed_ratio=24.0 / thickness)
-    >>> throws.energy_transfer.round(4)
-    array([2.003 , 3.546 , 3.8322])
-
     The largest energy transfer that a layer can give to a harmonic plate:
 
     >>> release = first_releases(mass_ratio=0.234231, speed_ratio=8.242210)
@@ -159,7 +141,7 @@ def first_releases(
     phase, speed = np.empty((2, ratios.shape[1]))
     run_batches(
         lambda batch: _release_series(ratios, phase, speed, batch[0], batch.size),
-        np.arange(phase.size), size=_BATCH, threads=threads,
+        np.arange(phase.size), size=2048, threads=threads,
     )
     energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
     return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
@@ -170,7 +152,8 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     Compute time and speed of the first release from a massless spring (App. A of the paper).
 
     The spring is the limit of a layer with a crossing time of zero: accurate for light, stiff
-    layers, and a reference for others. The plate is harmonic, and there is no gravity.
+    layers, and a reference for others. The plate is harmonic (typical damping changes a throw by a
+    few percent), and there is no gravity.
 
     `frequency_ratio` is :math:`q = f_0 / f`, `Rig.natural_frequency` over the frequency of the
     engine. ValueError if it is not finite and positive.
@@ -182,8 +165,7 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
     .. math:: \frac{V_e}{V_p^*} = \frac{q}{q - 1} \sin \frac{2 \pi}{q + 1},
 
     written as :math:`\pi q / (q + 1)\, \mathrm{sinc}\, \pi (q - 1) / (q + 1)`, which is
-    :math:`\pi / 2` at :math:`q = 1` instead of 0/0. As in the paper, the plate has no damping;
-    typical damping changes a throw by a few percent.
+    :math:`\pi / 2` at :math:`q = 1` instead of 0/0.
 
     Examples
     --------
@@ -237,8 +219,7 @@ def _wave(mu, kappa, zeta, gravity):
     crossing = 2.0 * math.pi / kappa  # w t_s
     lam = complex(-zeta * crossing, root * crossing)
     below = 1.0 + lam * mu
-    scale = 1.0 / (below.real * below.real + below.imag * below.imag)
-    inverse = complex(below.real * scale, -below.imag * scale)
+    inverse = below.conjugate() * (1.0 / (below.real * below.real + below.imag * below.imag))
     return _Wave(
         mu, rate, kappa, root, gravity * crossing * mu * root, lam, inverse,
         (lam * mu - 1.0) * inverse, 2.0 * (lam * mu) * inverse,
@@ -253,7 +234,7 @@ def _find(wave, c, b):
     Returns interval k, a bracket of the root (up to 0 if it is unknown), a guess, and Q_k.
     """
     turn, weight = wave.lam.imag, wave.weight
-    steady = complex(1.0, 0.0)  # Q_k
+    first, steady = np.int64(0), complex(1.0, 0.0)  # k, of the type of later ones, and Q_k
     step = _phasor(wave.lam, 2.0)  # e^{2 lambda}
     c[0], b[0] = -2.0 * wave.inverse.imag, math.exp(-2.0 * wave.rate)
     s_now, s_next = 0.0, c[0] * b[0]
@@ -262,17 +243,17 @@ def _find(wave, c, b):
         # G rises, at most until the plate is fastest, and falls through 0 before it stops.
         high = min(2.0, math.pi / turn)
         if high < 2.0 or force <= 0.0:
-            return _FIRST, 0.0, high, _first_guess(wave), steady
+            return first, 0.0, high, _first_guess(wave), steady
     else:
         # G falls at least until the plate brakes hardest, and later periods push it off less
         # than the first.
         high = min(2.0, 2.0 * math.acos(-wave.lam.real / math.hypot(turn, wave.lam.real)) / turn)
-        if _force(_FIRST, high, wave, steady, c)[0] <= 0.0:
-            return _FIRST, 0.0, high, _first_guess(wave), steady
+        if _attached(first, high, wave, steady, c)[0] + weight <= 0.0:
+            return first, 0.0, high, _first_guess(wave), steady
         if high < 2.0:
-            low, high = _search(_FIRST, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
+            low, high = _search(first, high, min(2.0, 2.0 * math.pi / turn), wave, steady, c)
             if high > 0.0:
-                return _FIRST, low, high, math.nan, steady
+                return first, low, high, math.nan, steady
     arriving = power = complex(1.0, 0.0)  # e^{2 k lambda}, r^k
     effort, largest, margin = 0.0, 1.0, turn
     longest = 0.5 * MAX_PERIODS * max(wave.kappa, 2.0 * math.pi * math.sqrt(wave.mu))
@@ -281,10 +262,10 @@ def _find(wave, c, b):
         power *= wave.reflection
         steady = arriving + wave.reflection * steady
         underflows = k > 250 and wave.mu < 2.0 / 700.0  # e^{-sigma / mu}, but not phi_k
-        if _size(steady) > _GROWTH_LIMIT**2 or underflows:
+        if steady.real**2 + steady.imag**2 > _GROWTH_LIMIT**2 or underflows:
             break
-        older = b[k - 2] if k > 1 else 0.0
-        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - (k - 1) * older) * _INVERSE[k]
+        older = (k - 1) * b[max(k - 2, 0)]
+        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * _INVERSE[k]
         s_before, s_now = s_now, s_next
         c[k] = s_now - s_before - 2.0 * (power * wave.inverse).imag
         s_next = c[k] * b[0]
@@ -297,13 +278,13 @@ def _find(wave, c, b):
         smooth = True
         if weight > 0.0:
             smooth = k <= 3 and turn < 0.5 * math.pi
-            largest = max(largest, _size(pull))
-            margin = 2.0 * turn * math.sqrt(largest)
+            largest = max(largest, abs(pull))
+            margin = 2.0 * turn * largest
         if force > 0.0 and min(before, force) > margin:
             continue
         if force <= 0.0 and smooth:
             return k, 0.0, 2.0, 2.0 * before / (before - force), steady
-        if smooth and _force(k, 2.0, wave, steady, c)[1] < -0.25 * turn:
+        if smooth and _attached(k, 2.0, wave, steady, c)[1] < -0.25 * turn:
             continue
         effort += (16 + 8 * k + 6.0 * turn) * (k + 8)
         if effort > _SEARCH_EFFORT:
@@ -311,13 +292,7 @@ def _find(wave, c, b):
         low, high = _search(k, 0.0, 2.0, wave, steady, c)
         if high > 0.0:
             return k, low, high, math.nan, steady
-    return _FIRST, 0.0, 0.0, math.nan, steady
-
-
-@inlined
-def _size(z):
-    """Compute |z|^2."""
-    return z.real * z.real + z.imag * z.imag
+    return first, 0.0, 0.0, math.nan, steady
 
 
 @inlined
@@ -358,8 +333,7 @@ def _polish(k, low, high, sigma, wave, steady, c):
     for i in range(160):
         force, slope, upward = _attached(k, sigma, wave, steady, c)
         excess = force + wave.weight
-        low = sigma if excess > 0.0 else low
-        high = high if excess > 0.0 else sigma
+        low, high = (sigma, high) if excess > 0.0 else (low, sigma)
         following = sigma - excess / slope if slope != 0.0 else low
         if not low <= following <= high or i > 40:  # it left the bracket, or goes round in circles
             following = 0.5 * (low + high)
@@ -374,17 +348,10 @@ def _polish(k, low, high, sigma, wave, steady, c):
     is_found = min(change, high - low) <= 1e-6 * wave.kappa and math.isfinite(phase * speed)
     is_found = is_found and speed * speed > 0.0  # not below the smallest number
     # The steady wave is known relative to its phase; each interval adds to the error
-    wave_size = math.sqrt(_size(steady)) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
-    if not is_found or _ROUNDING * (k + 1.0) * wave_size > _ACCURACY * abs(speed):
+    wave_size = abs(steady) * min(1.0, wave.lam.imag * (2.0 * k + 1.0 + sigma))
+    if not is_found or _ROUNDING * (k + 1.0) * wave_size > abs(speed):
         return math.nan, math.nan
     return phase, speed
-
-
-@subroutine
-def _force(k, sigma, wave, steady, c):
-    """Compute G + weight and G' in interval k."""
-    force, slope, _ = _attached(k, sigma, wave, steady, c)
-    return force + wave.weight, slope
 
 
 @subroutine
@@ -399,7 +366,8 @@ def _search(k, start, stop, wave, steady, c):
         high = start + layer * min(1.0, i / fine) ** 2
         if i > fine:
             high += beyond * ((i - fine) / coarse)
-        force, slope = _force(k, high, wave, steady, c)
+        force, slope, _ = _attached(k, high, wave, steady, c)
+        force += wave.weight
         if force <= 0.0 and i > 0:
             return low, high
         width = high - low
@@ -409,12 +377,9 @@ def _search(k, start, stop, wave, steady, c):
             before, after = low, high
             while after - before > 1e-12 * after:
                 middle = 0.5 * (before + after)
-                middle_force, middle_slope = _force(k, middle, wave, steady, c)
-                if middle_force <= 0.0:
+                middle_force, middle_slope, _ = _attached(k, middle, wave, steady, c)
+                if middle_force + wave.weight <= 0.0:
                     return low, middle
-                if middle_slope < 0.0:
-                    before = middle
-                else:
-                    after = middle
+                before, after = (middle, after) if middle_slope < 0.0 else (before, middle)
         low, low_force, low_slope = high, force, slope
     return 0.0, -1.0

@@ -18,7 +18,7 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core.rig import check_fields, Engine
+from soft_throw_ros.core.rig import Engine
 
 if TYPE_CHECKING:  # SciPy takes half a second to import: that is done where a motion is sampled
     from scipy.interpolate import PPoly
@@ -43,11 +43,11 @@ class Motion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Underdamped(Motion):
+class Underdamped(Engine, Motion):
     r"""
-    A step answered by a damped oscillator: up, over, and down to the new height.
+    The motion of an engine: a damped step up, over, and down to the new height.
 
-    The parameters are those of `rig.Engine`. Eqs. (D2)-(D4) of [1]_, and (1) without damping, with
+    Eqs. (D2)-(D4) of [1]_, and (1) without damping, with
     :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`:
 
     .. math:: V_p = \frac{A \omega}{\sqrt{1 - \zeta^2}} e^{-\zeta \omega t} \sin \omega_d t
@@ -64,25 +64,12 @@ class Underdamped(Motion):
 
     """
 
-    frequency: float
-    amplitude: float
     damping_ratio: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     @classmethod
     def of(cls, engine: Engine) -> Underdamped:
-        """Make the motion of `engine`."""
-        return cls(
-            frequency=engine.frequency, amplitude=engine.amplitude,
-            damping_ratio=engine.damping_ratio,
-        )
-
-    @property
-    def angular_frequency(self) -> float:
-        r""":math:`\omega` [rad/s]."""
-        return 2.0 * math.pi * self.frequency
+        """Make the motion of `engine` without its recorded one."""
+        return cls(**{**vars(engine), 'motion': None})
 
     @property
     def exponent(self) -> complex:
@@ -93,8 +80,7 @@ class Underdamped(Motion):
     @property
     def peak_velocity(self) -> float:
         """:math:`V_p^*`, Eq. (D4) [m/s]."""
-        ratio = peak_velocity_ratio(self.damping_ratio)
-        return float(self.amplitude * self.angular_frequency * ratio)
+        return float(self.speed_scale * peak_velocity_ratio(self.damping_ratio))
 
     @property
     def peak_velocity_time(self) -> float:
@@ -132,8 +118,6 @@ class SampledMotion(Motion):
     """
     A motion given by states of the plate, which quintics join: at rest before and after them.
 
-    `from_positions` makes it of samples, `configuration.motions` of a noisy record.
-
     Parameters
     ----------
     times : ndarray, shape (n,)
@@ -153,20 +137,12 @@ class SampledMotion(Motion):
     _path: PPoly = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        times = np.ascontiguousarray(self.times, dtype=np.float64)
-        states = np.ascontiguousarray(self.states, dtype=np.float64)
-        if times.ndim != 1 or states.shape != (times.size, 3) or times.size < 2:
-            raise ValueError(
-                'times and states must be of shapes (n,) and (n, 3) with n at least 2, '
-                f'got {times.shape} and {states.shape}'
-            )
-        require_series(times, states, 'states')
-        object.__setattr__(self, 'times', times)
-        object.__setattr__(self, 'states', states)
+        times, states = require_samples(self.times, self.states, 'states', least=2, columns=(3,))
         from scipy.interpolate import PPoly
 
-        coefficients = quintic(np.diff(times), *states[:-1].T, *states[1:].T)
-        object.__setattr__(self, '_path', PPoly(coefficients[::-1], times))
+        path = PPoly(quintic(np.diff(times), *states[:-1].T, *states[1:].T)[::-1], times)
+        for name, value in (('times', times), ('states', states), ('_path', path)):
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_positions(cls, times: ArrayLike, positions: ArrayLike) -> SampledMotion:
@@ -224,16 +200,26 @@ def motion_of(engine: Engine) -> PlateMotion:
     return engine.motion or Underdamped.of(engine)
 
 
-def require_samples(times: ArrayLike, values: ArrayLike, name: str) -> tuple[Floats, Floats]:
-    """Return both as float arrays, or raise ValueError."""
-    times = np.asarray(times, dtype=np.float64)
-    values = np.asarray(values, dtype=np.float64)
-    if times.ndim != 1 or times.shape != values.shape or times.size < 4:
+def require_samples(
+    times: ArrayLike, values: ArrayLike, name: str, *, least: int = 4,
+    columns: tuple[int, ...] = (),
+) -> tuple[Floats, Floats]:
+    """Return times, which increase, and values as arrays of finite floats, or raise ValueError."""
+    times = np.ascontiguousarray(times, dtype=np.float64)
+    values = np.ascontiguousarray(values, dtype=np.float64)
+    if times.ndim != 1 or times.size < least or values.shape != (times.size, *columns):
         raise ValueError(
-            f'times and {name} must be two series of the same length, at least 4, '
-            f'got shapes {times.shape} and {values.shape}'
+            f'{name} must be of shape {(times.size, *columns)} for their times, at least {least}, '
+            f'got shapes {values.shape} and {times.shape}'
         )
-    require_series(times, values, name)
+    for label, array in (('times', times), (name, values)):
+        if not np.isfinite(array).all():
+            index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+            raise ValueError(f'{label} must be finite, got {array[index]} at index {index[0]}')
+    backward = np.flatnonzero(np.diff(times) <= 0.0)
+    if backward.size:
+        n = int(backward[0]) + 1
+        raise ValueError(f'times must increase, got {times[n]} after {times[n - 1]} at index {n}')
     return times, values
 
 
@@ -253,15 +239,3 @@ def quintic(
         (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4,
         (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5,
     )
-
-
-def require_series(times: Floats, values: Floats, name: str) -> None:
-    """Raise ValueError unless all is finite, and times increase."""
-    for label, array in (('times', times), (name, values)):
-        if not np.isfinite(array).all():
-            index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-            raise ValueError(f'{label} must be finite, got {array[index]} at index {index[0]}')
-    backward = np.flatnonzero(np.diff(times) <= 0.0)
-    if backward.size:
-        n = int(backward[0]) + 1
-        raise ValueError(f'times must increase, got {times[n]} after {times[n - 1]} at index {n}')

@@ -4,9 +4,8 @@
 The plate's motion inside compiled steppers: pieces, each a quintic in height.
 
 A stepper's record has the fields `PLATE`, with the present piece. Pieces of a damped step are made
-when they are needed. Those of another motion are in a *path*, an array of shape (7, n) with a
-column for each piece: its start time, and the six coefficients. It is a ring: pieces of a plate
-that is measured while the stepper runs overwrite those that it has passed.
+when they are needed. Those of another motion are in a *path*, a ring with a column for each piece:
+its start time, and the six coefficients.
 """
 
 from __future__ import annotations
@@ -34,7 +33,6 @@ PLATE = [
     ('growth', 'f8'),  # its exponent [1/s]
     ('turn', 'f8'),
     ('duration', 'f8'),  # of its pieces, 0 for another motion [s]
-    ('piece_rate', 'f8'),  # of its pieces [1/s]
     ('piece_begin', 'f8'),  # of the present piece [s]
     ('piece_end', 'f8'),  # infinite if no other piece is known [s]
     ('coefficients', 'f8', (6,)),  # of the present piece, lowest order first
@@ -54,8 +52,7 @@ def write_damped(core: Record, amplitude: float, omega: float, zeta: float) -> N
     """Write a damped step into the third record, unchecked."""
     s = core[2]
     s.amplitude, s.growth, s.turn = amplitude, -zeta * omega, math.sqrt(1.0 - zeta * zeta) * omega
-    s.piece_rate, s.horizon = _PIECES_PER_PERIOD * omega / (2.0 * math.pi), math.inf
-    s.duration, s.last[0] = 1.0 / s.piece_rate, -math.inf
+    s.duration, s.horizon = 1.0 / (_PIECES_PER_PERIOD * omega / (2.0 * math.pi)), math.inf
 
 
 def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -> Floats:
@@ -79,22 +76,17 @@ def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -
 @subroutine
 def enter_piece(s: Record, path: Floats, time: float) -> None:
     """Write the piece at `time`, which must not decrease, into the record."""
-    c, last = s.coefficients, s.last
+    c = s.coefficients
     if s.duration > 0.0:
-        s.piece = int(time * s.piece_rate)
-        if s.piece * s.duration > time:
+        s.piece = int(time / s.duration) + 1
+        while s.piece * s.duration > time:
             s.piece -= 1
-        elif (s.piece + 1) * s.duration <= time:
-            s.piece += 1
         s.piece_begin, s.piece_end = s.piece * s.duration, (s.piece + 1) * s.duration
-        begin, end = s.piece_begin, s.piece_end
-        if last[0] != begin:
-            last[1], last[2], last[3] = _damped_state(begin, s.amplitude, s.growth, s.turn)
-        state = _damped_state(end, s.amplitude, s.growth, s.turn)
+        state = _damped_state(s.piece_begin, s.amplitude, s.growth, s.turn)
+        later = _damped_state(s.piece_end, s.amplitude, s.growth, s.turn)
         c[0], c[1], c[2], c[3], c[4], c[5] = _quintic(
-            end - begin, last[1], last[2], last[3], state[0], state[1], state[2]
+            s.piece_end - s.piece_begin, *state, *later
         )
-        last[0], last[1], last[2], last[3] = end, state[0], state[1], state[2]
         return
     capacity = path.shape[1]
     while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:

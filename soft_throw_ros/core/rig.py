@@ -10,32 +10,18 @@ can be simulated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 import math
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 import numpy as np
-from soft_throw_ros.core import checks
-from soft_throw_ros.core.material import (
-    LARGEST_CONSTANT_LOSS,
-    LARGEST_STRAIN,
-    LOSSES,
-    relaxation,
-    static_stretch,
-    STRESS_STRAIN_LAWS,
-)
+from soft_throw_ros.core import checks, material
 
 if TYPE_CHECKING:
     from soft_throw_ros.core.plate import SampledMotion
 
 _LINEAR_STRAIN = 0.15
-"""
-Largest strain of a linear layer with reliable results: there a neo-Hookean layer throws up to 5 %
-earlier, with an energy transfer that differs by up to 5 %, about the error of a wave speed. [-]
-"""
-
-STANDARD_GRAVITY = 9.81
-"""Gravity of a rig on Earth. [m/s2]"""
+"""Strain at which results of a neo-Hookean layer begin to differ by more than 5 %. [-]"""
 
 MAX_PERIODS = 16.0
 """Longest wait for a release, in periods of plate or projectile. [-]"""
@@ -46,16 +32,16 @@ RANGES = {
     **dict.fromkeys(('loss_tangent', 'gravity'), 'not_negative'),
     'damping_ratio': 'in_unit_interval',
 }
-"""Ranges of the numbers of a rig, see `checks.require_number`."""
+"""Ranges of the numbers of a rig, see `checks.require_all`."""
 
-_CHOICES = {'stress_strain_law': STRESS_STRAIN_LAWS, 'loss': LOSSES}
+_CHOICES = {'stress_strain_law': material.STRESS_STRAIN_LAWS, 'loss': material.LOSSES}
 
 
 def check_fields(instance: object, prefix: str = '') -> None:
     """Check numbers and choices of a frozen dataclass."""
     for name, value in [*vars(instance).items()]:
         if name in RANGES:
-            number = checks.require_number(RANGES[name], prefix + name, value)
+            number = checks.require_all(prefix + name, value, RANGES[name])
             object.__setattr__(instance, name, number)
         elif name in _CHOICES and value not in _CHOICES[name]:
             raise ValueError(
@@ -78,9 +64,8 @@ class Engine:
         Damping ratio :math:`\zeta`, 0 for the harmonic motion of Eq. (1). [-]
     motion : SampledMotion, optional
         Recorded motion of the plate, which replaces the oscillation; its times count from its
-        first state, the start of the throw. Frequency and amplitude are
-        then only units of time and length; the loss tangent of a layer still refers to the
-        frequency.
+        first state, the start of the throw. Frequency and amplitude are then only units of time
+        and length; the loss tangent of a layer still refers to the frequency.
 
     Raises
     ------
@@ -165,18 +150,17 @@ class Layer:
 
     def __post_init__(self) -> None:
         check_fields(self, 'layer.')
-        if self.loss == 'constant' and self.loss_tangent > LARGEST_CONSTANT_LOSS:
+        limit = material.LARGEST_CONSTANT_LOSS
+        if self.loss == 'constant' and self.loss_tangent > limit:
             raise ValueError(
-                f'layer.loss_tangent must be at most {LARGEST_CONSTANT_LOSS:g} if it is constant, '
+                f'layer.loss_tangent must be at most {limit:g} if it is constant, '
                 f'got {self.loss_tangent:g}'
             )
         if self.parts:
-            whole = _values_of_sheets(self.parts)
-            changes = {name: value for name, value in vars(self).items() if name in whole}
-            changes = {name: value for name, value in changes.items() if value != whole[name]}
-            if changes:
-                sheets = (_changed_sheet(sheet, whole, changes) for sheet in self.parts)
-                object.__setattr__(self, 'parts', tuple(sheets))
+            whole, new = _values_of_sheets(self.parts), vars(self)
+            changes = {name: new[name] for name in whole if new[name] != whole[name]}
+            sheets = (_changed_sheet(sheet, whole, changes) for sheet in self.parts)
+            object.__setattr__(self, 'parts', tuple(sheets))
 
     @classmethod
     def of_sheets(cls, sheets: Iterable[Layer]) -> Layer:
@@ -202,7 +186,7 @@ class Layer:
     @property
     def section(self) -> float:
         """:math:`S` [m2]."""
-        return float(section_of(self.diameter))
+        return 0.25 * math.pi * self.diameter**2
 
     @property
     def mass(self) -> float:
@@ -240,8 +224,10 @@ class Layer:
             return sag / self.thickness
         load = force / (self.youngs_modulus * self.section)
         if self.loss == 'constant':
-            load /= relaxation(self.loss_tangent).relaxed
-        return load if self.stress_strain_law == 'linear' else 1.0 - static_stretch(3.0 * load)
+            load /= material.relaxation(self.loss_tangent).relaxed
+        if self.stress_strain_law == 'linear':
+            return load
+        return 1.0 - material.static_stretch(3.0 * load)
 
     @property
     def needs_cells(self) -> bool:
@@ -251,7 +237,7 @@ class Layer:
     @property
     def linear_range(self) -> float:
         """Largest strain with reliable results [-]."""
-        return _LINEAR_STRAIN if self.stress_strain_law == 'linear' else LARGEST_STRAIN
+        return _LINEAR_STRAIN if self.stress_strain_law == 'linear' else material.LARGEST_STRAIN
 
     @property
     def sheets(self) -> tuple[Layer, ...]:
@@ -321,31 +307,21 @@ class Rig:
     Parameters
     ----------
     engine, layer, projectile
-        Components of the rig; the defaults are those of [1]_.
+        Components of the rig; the defaults are those of the paper.
     gravity : float
-        Towards the plate; 0 for the figures of [1]_. [m/s2]
+        Towards the plate; 0 for the figures of the paper. [m/s2]
 
     Raises
     ------
     ValueError
         If `gravity` is negative or not finite, or a component is of another type.
 
-    References
-    ----------
-    .. [1] "Use of compliant actuators for throwing rigid projectiles", Phys. Rev. E (2022).
-
-    Examples
-    --------
-    >>> rig = Rig(layer=Layer(thickness=16.8e-3, wave_speed=7.8))
-    >>> round(rig.mass_ratio, 4), round(rig.speed_ratio, 4)
-    (0.6345, 7.3463)
-
     """
 
     engine: Engine = field(default_factory=Engine)
     layer: Layer = field(default_factory=Layer)
     projectile: Projectile = field(default_factory=Projectile)
-    gravity: float = STANDARD_GRAVITY
+    gravity: float = 9.81
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -379,14 +355,10 @@ class Rig:
         return math.sqrt(self.layer.stiffness / self.projectile.mass) / (2.0 * math.pi)
 
     @property
-    def static_sag(self) -> float:
-        """Compression of the layer by the weight of the resting projectile [m]."""
-        return self.layer.thickness * self.layer.static_strain(self.projectile.mass * self.gravity)
-
-    @property
     def rest_height(self) -> float:
         """Height of the lower face of the resting projectile, on a layer without weight [m]."""
-        return self.layer.thickness - self.static_sag
+        sag = self.layer.thickness * self.layer.static_strain(self.projectile.mass * self.gravity)
+        return self.layer.thickness - sag
 
     @property
     def gravity_ratio(self) -> float:
@@ -397,7 +369,9 @@ class Rig:
     def longest_wait(self) -> float:
         """Time until which steppers follow a throw without a release [s]."""
         end = self.engine.motion.end_time if self.engine.motion else 0.0
-        return end + float(scales_of(values_of(self)).longest_wait)
+        own_period = 2.0 * math.pi * np.sqrt(self.projectile.mass / self.layer.stiffness)
+        longest: float = np.maximum(1.0 / self.engine.frequency, own_period)
+        return end + self.crossing_time + MAX_PERIODS * longest
 
 
 def values_of(rig: Rig) -> dict[str, float]:
@@ -407,38 +381,12 @@ def values_of(rig: Rig) -> dict[str, float]:
     return {**values, 'mass': rig.projectile.mass}
 
 
-class Scales(NamedTuple):
-    """Numbers or arrays, named as properties of `Rig`: scales, and ratios that decide a throw."""
-
-    crossing_time: Any
-    relaxation_time: Any
-    impedance: Any
-    angular_frequency: Any
-    mass_ratio: Any
-    speed_ratio: Any
-    gravity_ratio: Any
-
-    @property
-    def longest_wait(self) -> Any:
-        """Time until which steppers follow throws without a release [s]."""
-        own_period = 2.0 * math.pi * np.sqrt(self.crossing_time * self.relaxation_time)
-        longest = np.maximum(2.0 * math.pi / self.angular_frequency, own_period)
-        return self.crossing_time + MAX_PERIODS * longest
-
-
-def scales_of(values: Mapping[str, Any]) -> Scales:
-    """Return the scales of rigs with the values of `values_of`."""
-    thickness, omega = values['thickness'], 2.0 * math.pi * values['frequency']
-    impedance = values['density'] * values['wave_speed'] * section_of(values['diameter'])
-    with np.errstate(divide='ignore', invalid='ignore'):  # a layer without thickness
-        crossing, relaxation = thickness / values['wave_speed'], values['mass'] / impedance
-        return Scales(
-            crossing, relaxation, impedance, omega, relaxation / crossing,
-            1.0 / (crossing * values['frequency']),
-            values['gravity'] / (values['amplitude'] * omega * omega),
-        )
-
-
-def section_of(diameter: Any) -> Any:
-    """Return the section of a cylinder [m2]."""
-    return 0.25 * math.pi * diameter**2
+def scales_of(values: Mapping[str, Any]) -> Any:
+    """Return a `Rig` of arrays, for its properties, from arrays of each of `values_of`."""
+    parts: tuple[Any, Any] = Engine, Layer
+    engine, layer = (
+        kind(**{item.name: values[item.name] for item in fields(kind) if item.name in values})
+        for kind in parts
+    )
+    projectile = Projectile(mass=values['mass'])
+    return Rig(engine=engine, layer=layer, projectile=projectile, gravity=values['gravity'])

@@ -302,7 +302,7 @@ def follow_batch(
     strain, acceleration and plate force, and work of the plate.
     """
     amplitude, zeta = values['amplitude'], values['damping_ratio']
-    omega = scales_of(values).angular_frequency
+    omega = scales_of(values).engine.angular_frequency
     core, no_events = np.zeros(3, record), np.empty((0, 4))
     numbers = core.view(np.float64).reshape(3, -1)
     rows = np.empty((6, latest.size))

@@ -199,7 +199,7 @@ def simulate(
 
     """
     if until is not None:
-        checks.require_positive('until', until)
+        checks.require_all('until', until, 'positive')
     stepper, cells = _make_settled_stepper(rig, cells, cancelled)
     stepper.reset()
     _run(stepper, until, cancelled)
@@ -352,7 +352,7 @@ def throw_many(
             damping_ratio=own['damping_ratio'], gravity_ratio=scales.gravity_ratio,
         )
         results[0, batch] = phase / own['frequency']
-        results[1, batch] = speed * own['amplitude'] * scales.angular_frequency
+        results[1, batch] = speed * own['amplitude'] * scales.engine.angular_frequency
         if loads:
             known = batch[~np.isnan(phase)]
             results[2:, known] = wave_stepper.throw_batch(

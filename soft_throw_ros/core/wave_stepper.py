@@ -15,25 +15,19 @@ The kernels are a delay line with contact, release, flight and landing. With :ma
     m &= p + g \tau \qquad\qquad\qquad\quad \text{in flight}
 
 where everything counts from the static equilibrium, and the layer pushes the projectile with
-:math:`F = (m_r / \tau) (2 p - V) + m_r g`. The projectile leaves when F falls below zero, and is
-in contact again when the gap closes, its speed unchanged. Flight, landing and gravity are not in
-[1]_'s analytical model.
+:math:`F = (m_r / \tau) (2 p - V) + m_r g`. Flight, landing and gravity are not in [1]_'s
+analytical model.
 
-The step h divides :math:`t_s`, so waves travel from grid point to grid point without any error,
-and the kinks that the start of a damped step sends through the layer, at odd multiples of
-:math:`t_s`, fall on grid points. Only the response of the mass has to be computed: p is known
-:math:`t_s` ahead, a cubic interpolates p through four neighbouring points (on one side of a kink),
-and the equation of V is solved exactly for this cubic, however small :math:`\tau` is. So the first
-release is of fourth order in h. Heights are sums of p by the trapezoidal rule, which is enough for
-the gap in flight, of second order.
+The step h divides :math:`t_s`: waves travel from grid point to grid point without any error, and
+the kinks of a damped step, at odd multiples of :math:`t_s`, fall on grid points. A cubic through
+four points on one side of a kink interpolates p, and the equation of V is solved exactly for it,
+however small :math:`\tau` is: the first release is of fourth order in h. Heights are sums of p by
+the trapezoidal rule, of second order.
 
-Releases and landings are roots within a step, one in each step. A landing makes m jump between two
-grid points; the nearer one of them takes the value that keeps the area under m, so that the wave
-has the right momentum when it comes back. Later events are therefore of second order in h, except
-a release that the jump itself causes, which is known to a step.
-
-A dip of the contact force below zero, or of the gap, that begins and ends within one step is not
-seen.
+Releases and landings are roots within a step, one in each step; a dip of the contact force or gap
+below zero within one step is not seen. A landing makes m jump between two grid points; the nearer
+one takes the value that keeps the area under m, and with it the momentum of the wave. So later
+events are of second order in h, but a release by the jump itself is only known to a step.
 
 References
 ----------
@@ -78,16 +72,10 @@ _PAD = 8
 """Steps that are kept beyond those that are read, for the cubics. [-]"""
 
 _SPARE_STEPS = 1000
-"""
-Spare steps in the memory of waves, so that it is rarely moved. With 1024 the memory of a stepper
-and its fork may differ by whole pages, between which a copy takes ten times as long. [-]
-"""
+"""Spare steps in memory, so that waves are rarely moved; 1024 make copies 10 times as slow. [-]"""
 
 _STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
-"""
-Fewest strains that are compared in a crossing [-], the longest phase in between [rad], and the
-longest time in between, over the relaxation time of the projectile [-].
-"""
+"""Fewest strains compared in a crossing, longest phase [rad] and time over tau in between. [-]"""
 
 _NOISE = 1e-12
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
@@ -164,11 +152,16 @@ def _moments(x):
     return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
 
 
+def _constants_of(rig: Any) -> tuple[Any, ...]:
+    """Return the last arguments of `_prepare`, floats or arrays."""
+    return (
+        rig.layer.thickness, rig.crossing_time, rig.relaxation_time, rig.gravity,
+        rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
+    )
+
+
 @kernel
-def _prepare(
-    core: Any, N: int, thickness: float, crossing: float, relaxation: float, gravity: float,
-    impedance: float, omega: float, speed: float,
-) -> None:
+def _prepare(core, N, thickness, crossing, relaxation, gravity, impedance, omega, speed):
     """Complete the third record, which has the plate's motion already."""
     s = core[2]
     s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
@@ -181,14 +174,13 @@ def _prepare(
     cubic[1] = x * (m0 - m1 / 2.0 - m2 + m3 / 2.0)
     cubic[2] = x * (m1 + m2 / 2.0 - m3 / 2.0)
     cubic[3] = x * (-m1 / 6.0 + m3 / 6.0)
-    s.relaxation, s.gravity, s.impedance = relaxation, gravity, impedance
-    s.thickness = thickness
+    s.thickness, s.impedance = thickness, impedance
+    s.relaxation, s.gravity = relaxation, gravity
     s.rest_height = thickness - gravity * relaxation * crossing  # sag m g L / (E S)
     s.gravity_offset = gravity * relaxation
     s.release_threshold = -s.gravity_offset - _NOISE * speed
     s.base = -2 * N - _PAD
-    s.contact = True
-    s.kink = N
+    s.contact, s.kink = True, N
     longest = min(N / _STRAINS_PER_CROSSING, _STRAIN_FADING * relaxation / s.step)
     # A divisor of N, so that kinks, where strains are largest, are at points that are compared
     s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
@@ -238,12 +230,7 @@ def _rise(s, waves, d):
 
 @subroutine
 def _top_at(s, waves, d, begin, V, cubic):
-    """
-    Compute p, the projectile's velocity, heights of projectile and top, and force or gap.
-
-    They are those d steps after `s.cell`, where V and the cubic of p are those at `begin`. The
-    force is scaled, and counts from that of the release.
-    """
+    """Compute p, V, heights of projectile and top, and force from release or gap, at a step d."""
     p, _, _, _ = _shift(d - begin, *cubic)
     rise = _rise(s, waves, d)
     if s.contact:
@@ -267,10 +254,8 @@ def _find_event(s, waves, cubic):
     low, high = 0.0, 1.0
     for _ in range(54):  # bisect
         d = 0.5 * (low + high)
-        if _top_at(s, waves, d, 0.0, s.velocity, cubic)[4] < 0.0:
-            high = d
-        else:
-            low = d
+        is_over = _top_at(s, waves, d, 0.0, s.velocity, cubic)[4] < 0.0
+        low, high = (low, d) if is_over else (d, high)
     return high
 
 
@@ -280,7 +265,7 @@ def _change_contact(s, waves, events, d, cubic):
     _, V, height, _, _ = _top_at(s, waves, d, 0.0, s.velocity, cubic)
     if s.events == 0:
         _compare_strains_at(s, waves, s.cell)
-        _write_work(s, d)
+        s.work = s.impedance * s.step * (s.power_sum + (d - 0.5) * s.power)
     stepper.note_event(s, events, (s.cell + d) * s.step, height, V)
     s.top = height - _rise(s, waves, d)
     if s.contact:
@@ -293,12 +278,7 @@ def _change_contact(s, waves, events, d, cubic):
 
 @subroutine
 def _cross_step(s, waves, events, target):
-    """
-    Go through the step after `s.cell`, and an event in it, up to an offset of `target`.
-
-    Below 1 that leaves `s` there, with the state of projectile and top written; at 1 the step is
-    done.
-    """
+    """Finish the step after `s.cell` if `target` is 1, else write the state at this offset."""
     cubic = _expand(s, waves)
     begin, V, jump = 0.0, s.velocity, 0.0
     event = _find_event(s, waves, cubic)
@@ -433,12 +413,6 @@ def _compare_strains_at(s, waves, cell):
         s.peak_strain = max(s.peak_strain, abs(stress))
 
 
-@subroutine
-def _write_work(s, offset):
-    """Write the work of the plate until some steps after `s.cell`."""
-    s.work = s.impedance * s.step * (s.power_sum + (offset - 0.5) * s.power)
-
-
 @kernel
 def _advance(core, waves, path, events, time):
     """Advance to `time`; return the number of events so far, or an error code."""
@@ -455,7 +429,7 @@ def _advance(core, waves, path, events, time):
         s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
         _cross_step(s, waves, events, s.offset)
     if s.events == 0:
-        _write_work(s, s.offset)
+        s.work = s.impedance * s.step * (s.power_sum + (s.offset - 0.5) * s.power)
     force, stress, strain = s.peak_contact_force, s.peak_plate_stress, s.peak_strain
     wave_speed = s.thickness / (s.steps * s.step)
     s.loads[0] = max(strain, stress, force + s.gravity_offset) / wave_speed
@@ -505,13 +479,11 @@ def _read_layer(core, waves, out):
     # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
     cell = s.thickness / last
     stretch = 0.5 * cell * s.steps * s.step / s.thickness
-    squeezed = 0.0
     height[0] = 0.0
-    for n in range(1, last + 1):
-        squeezed += force[n - 1] + force[n]
-        height[n] = squeezed
+    for n in range(last):
+        height[n + 1] = height[n] + (force[n] + force[n + 1])
     low, high = s.state[stepper.PLATE_POSITION], s.rest_height + s.surface
-    error = (high - low - s.thickness + stretch * squeezed) / last
+    error = (high - low - s.thickness + stretch * height[last]) / last
     for n in range(last + 1):
         height[n] = low + n * (cell + error) - stretch * height[n]
         out[3, n] = -force[n] * s.steps * s.step / s.thickness
@@ -536,11 +508,6 @@ def _default_steps(rig: Rig) -> int:
     return steps - steps % 32
 
 
-def _make_waves(steps: int) -> Floats:
-    """Make room for the waves p and m."""
-    return np.zeros((2, 4 * steps + _SPARE_STEPS))
-
-
 class WaveStepper(Stepper):
     r"""
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
@@ -562,8 +529,6 @@ class WaveStepper(Stepper):
 
     Examples
     --------
-    The rig of the paper, 10 ms after the start:
-
     >>> stepper = WaveStepper(Rig())
     >>> stepper.advance_to(0.010)
     1
@@ -586,12 +551,10 @@ class WaveStepper(Stepper):
         self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
         self.cost = _STEP_COST * self.steps / rig.crossing_time
         core = np.zeros(3, RECORD)
-        _prepare(
-            core, self.steps, rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
-            rig.gravity, rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
-        )
+        _prepare(core, self.steps, *_constants_of(rig))
         super().__init__(
-            rig, core, _make_waves(self.steps), (_advance_compiled(), _read_layer_compiled()),
+            rig, core, np.zeros((2, 4 * self.steps + _SPARE_STEPS)),
+            (_advance_compiled(), _read_layer_compiled()),
             is_measured=is_measured, field_points=field_points,
         )
 
@@ -606,23 +569,20 @@ def throw_batch(
     caught again within a step. Arguments and result are else those of `cell_stepper.throw_batch`.
     Errors in loads and work: 1e-3 for 95 % of rigs.
     """
-    scales = scales_of(values)
-    crossing, omega = scales.crossing_time, scales.angular_frequency
+    rigs = scales_of(values)
     steps = np.maximum(
-        _STEPS_PER_RELAXATION / scales.mass_ratio, _STEPS_PER_PERIOD / scales.speed_ratio
+        _STEPS_PER_RELAXATION / rigs.mass_ratio, _STEPS_PER_PERIOD / rigs.speed_ratio
     )
     steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    columns = (
-        steps, values['thickness'], crossing, scales.relaxation_time, values['gravity'],
-        scales.impedance, omega, values['amplitude'] * omega,
-    )
+    columns = steps, *_constants_of(rigs)
+    step, advance = rigs.crossing_time / steps, _advance_compiled()
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
         _prepare(core, *(column[n] for column in columns))
-        return _make_waves(int(steps[n])), _STEP_COST * steps[n] / crossing[n]
+        waves = np.zeros((2, 4 * steps[n] + _SPARE_STEPS))
+        return waves, _STEP_COST / step[n]
 
-    latest, advance = until + crossing / steps, _advance_compiled()
-    return stepper.follow_batch(RECORD, advance, prepare_throw, values, latest, cancelled)
+    return stepper.follow_batch(RECORD, advance, prepare_throw, values, until + step, cancelled)
 
 
 def warm_up() -> None:

@@ -75,7 +75,7 @@ def aim(
         raise ValueError('aiming needs a plate without a motion file, whose amplitude can be set')
     if height is not None and rig.gravity == 0.0:
         raise ValueError('a height needs gravity, got gravity 0; aim at a speed instead')
-    target = checks.require_positive('target', speed if height is None else height)
+    target = checks.require_all('target', speed if height is None else height, 'positive')
     goal = f'{target:g} m/s' if height is None else f'{target:g} m high'
     needed = target if height is None else math.sqrt(2.0 * rig.gravity * target)
 

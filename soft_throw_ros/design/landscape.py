@@ -221,9 +221,9 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[st
             if name in TWIN.by_name:
                 TWIN.check_value(name, value)
             else:
-                checks.require_positive(name, value)
+                checks.require_all(name, value, 'positive')
         if name == 'x':
-            checks.require_in_unit_interval(name, array[-1])
+            checks.require_all(name, array[-1], 'in_unit_interval')
         checked[name] = array
     return checked
 

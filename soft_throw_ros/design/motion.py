@@ -106,7 +106,7 @@ class PlateLimits:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if name == 'speed' or value != math.inf:
-                checks.require_positive(name, value)
+                checks.require_all(name, value, 'positive')
 
     @classmethod
     def of(cls, engine: Engine) -> PlateLimits:

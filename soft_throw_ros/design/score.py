@@ -40,7 +40,7 @@ class Limits:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if value != math.inf or name.startswith(('thickness', 'wave_speed')):
-                checks.require_positive(name, value)
+                checks.require_all(name, value, 'positive')
         for name in ('thickness', 'wave_speed'):
             low, high = getattr(self, name)
             if low >= high:

@@ -58,8 +58,8 @@ class Uncertainties:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            checks.require_not_negative(f'uncertainty.{name}', value)
-        checks.require_in_unit_interval('uncertainty.mass', self.mass)
+            checks.require_all(f'uncertainty.{name}', value, 'not_negative')
+        checks.require_all('uncertainty.mass', self.mass, 'in_unit_interval')
 
     @classmethod
     def from_settings(cls, settings: Settings) -> Uncertainties:

@@ -134,11 +134,8 @@ class Deviations:
 
     def at(self, since: float) -> tuple[float, float]:
         """Return the deviations of plate and projectile [m], at a time since the start [s]."""
-        plate, projectile = (
-            float(np.interp(since, self._time, column, left=0.0, right=0.0))
-            for column in self._columns
-        )
-        return plate, projectile
+        plate, projectile = (np.interp(since, self._time, column) for column in self._columns)
+        return float(plate), float(projectile)
 
 
 def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -> Floats:

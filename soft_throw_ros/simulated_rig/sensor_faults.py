@@ -10,16 +10,13 @@ functions take floats and arrays alike.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from soft_throw_ros.core import checks
 
 Numbers: TypeAlias = Any
-"""A float or an array; typing has no name for functions that keep the one they are given."""
-Flags: TypeAlias = Any
-"""A bool or an array of bools."""
+"""A number or an array; typing has no name for functions that keep the one they are given."""
 
 # Size of the smallest outlier over that of the largest. [-]
 _SMALLEST_OUTLIER = 0.1
@@ -56,7 +53,7 @@ class Measurement(NamedTuple):
     stamp: Numbers
     plate: Numbers
     projectile: Numbers
-    is_received: Flags
+    is_received: Numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +70,6 @@ class SensorFaults:
     projectile_scale: float = 1.0  # measured height of the projectile over the true one [-]
     missing_rate: float = 0.0  # share of the samples that are lost [-]
     rounding: float = 0.0  # resolution of the heights; 0 for no rounding [m]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            is_signed = field.name in ('drift', 'projectile_delay')
-            check = checks.require_finite if is_signed else checks.require_not_negative
-            object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
 
     def measure(
         self,

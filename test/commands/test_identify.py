@@ -240,7 +240,7 @@ def recorded(*starts, noise=2e-5):
     """Return times and heights of a record in which the rig returns to rest after every throw."""
     time = np.arange(0.0, starts[-1] + 0.1, 5e-4)
     heights, history = np.empty((2, time.size)), follow(RIG, until=0.25)
-    heights[:] = [[0.0], [12e-3 - RIG.static_sag]]
+    heights[:] = [[0.0], [RIG.rest_height]]
     for start in starts:
         since = time - start
         thrown = (since > 0.0) & (since < 0.25)

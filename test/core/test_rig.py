@@ -22,8 +22,6 @@ def test_derived_quantities_agree_with_the_rig_of_the_paper():
     assert rig.layer.youngs_modulus == pytest.approx(1000.0 * 7.8**2)
     ratio = rig.speed_ratio / (2.0 * math.pi * math.sqrt(rig.mass_ratio))
     assert rig.natural_frequency / 63.2 == pytest.approx(ratio)
-    stiffness = rig.layer.youngs_modulus * rig.layer.section / rig.layer.thickness
-    assert rig.static_sag == pytest.approx(rig.projectile.mass * 9.81 / stiffness)
     acceleration = 2e-3 * (2.0 * math.pi * 63.2) ** 2
     assert rig.gravity_ratio == pytest.approx(9.81 / acceleration)
 
@@ -48,10 +46,8 @@ def test_components_refuse_and_quote_bad_values(component, name, bad):
     ('loss', 'relaxed'), [('kelvin_voigt', 1.0), ('constant', relaxation(0.2).relaxed)]
 )
 def test_soft_thick_layer_rests_on_its_relaxed_modulus(loss, relaxed):
-    layer = Layer(thickness=0.05, wave_speed=3.0, loss_tangent=0.2, loss=loss)
-    rig = Rig(layer=layer)
-    sag = rig.projectile.mass * rig.gravity / (relaxed * layer.stiffness)
-    assert rig.static_sag == pytest.approx(sag, rel=1e-12)
+    rig = Rig(layer=Layer(thickness=0.05, wave_speed=3.0, loss_tangent=0.2, loss=loss))
+    sag = rig.projectile.mass * rig.gravity / (relaxed * rig.layer.stiffness)
     assert rig.rest_height == pytest.approx(0.05 - sag, rel=1e-12)
     assert relaxed in (1.0, pytest.approx(0.673, abs=1e-3))
 

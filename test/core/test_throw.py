@@ -53,7 +53,7 @@ def test_paths_and_fields_of_a_throw_agree_with_its_numbers():
     assert (heights >= layers[:, 0, -1] - 1e-12)[:-1].all()
     _, layers = throw.trajectory(np.linspace(0.0, throw.ejection_time, 101), points=65)
     assert layers.shape == (101, 4, 65)
-    assert layers[0, 3] == pytest.approx(-throw.rig.static_sag / throw.rig.layer.thickness)
+    assert layers[0, 3] == pytest.approx(throw.rig.rest_height / throw.rig.layer.thickness - 1.0)
     assert np.abs(layers[:, 3]).max() == pytest.approx(throw.loads.strain, rel=1e-2)
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
-from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
+from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
@@ -44,13 +44,13 @@ def random_rig(random, *, loss_tangent=0.0):
             loss_tangent=loss_tangent,
         ),
         projectile=Projectile(mass=math.exp(random.uniform(math.log(2e-4), math.log(5e-3)))),
-        gravity=random.choice([0.0, STANDARD_GRAVITY]),
+        gravity=random.choice([0.0, Rig.gravity]),
     )
 
 
 def heavy_rig(gravity_ratio, mass=3.96e-3, damping_ratio=0.064):
     """Return a rig on earth with a ratio of gravity to the acceleration of its plate."""
-    omega = math.sqrt(STANDARD_GRAVITY / (2e-3 * gravity_ratio))
+    omega = math.sqrt(Rig.gravity / (2e-3 * gravity_ratio))
     engine = Engine(frequency=omega / (2.0 * math.pi), damping_ratio=damping_ratio)
     return Rig(engine=engine, projectile=Projectile(mass=mass))
 

@@ -87,7 +87,7 @@ def test_side_view_is_to_scale(twin, recording) -> None:
     assert in_contact.sum() > 100
     np.testing.assert_allclose(top[in_contact], at_layer, atol=0.08)  # straight between states
     np.testing.assert_allclose(width, 12.0)
-    np.testing.assert_allclose(height[0], 16.8 - 1e3 * Rig().static_sag, atol=1e-4)
+    np.testing.assert_allclose(height[0], 1e3 * Rig().rest_height, atol=1e-4)
     body = recording.last('/twin/side/projectile/body', 'Transform3D:scale')
     assert body[0][:2] == pytest.approx([12.0, 8.2])
 

@@ -13,11 +13,10 @@ At the top of the layer the upward wave :math:`p` and the downward wave :math:`q
     q = V_m - p \ \text{(contact)}, \qquad q = p + g \tau \ \text{(flight)}
 
 (about the static equilibrium), and in contact :math:`\tau \dot V_m + V_m = 2 p`. Since p only
-needs q of two crossings ago, time is cut into pieces within which all is smooth: at the kinks
-that the start, the samples of the plate and every event send up and down the layer, and wherever
-24 Chebyshev coefficients would not reach rounding. On a piece the equation of the mass is one
-small linear system, and events are roots of polynomials. The result is exact to about 1e-12 of
-the plate's speed, without a step size.
+needs q of two crossings ago, time is cut into smooth pieces: at the kinks that the start, the
+samples of the plate and every event send up and down the layer, and wherever 24 Chebyshev
+coefficients would not reach rounding. The equation of the mass is a small linear system, events
+are roots of polynomials, and the result is exact to about 1e-12 of the plate's speed.
 
 """
 
@@ -50,12 +49,7 @@ _INTEGRAL: Floats = np.stack(
 
 
 class WaveHistory:
-    """
-    All that happens in one throw, from rest to the last event asked for; made by `follow`.
-
-    Times are those of the plate's motion. `events` has a release first, and is empty if the
-    projectile never left in the time given.
-    """
+    """All that happens in one throw, from rest to the last event asked for; made by `follow`."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig, self.motion = rig, motion_of(rig.engine)
@@ -89,13 +83,10 @@ class WaveHistory:
             values[numbers == n] = chebyshev.chebval(np.minimum(x, 1.0), self._pieces[n][row])
         return values.reshape(times.shape)
 
-    def _down(self, time: ArrayLike) -> Floats:
-        """Downward wave at the top, q [m/s]."""
-        return self._evaluate(0, time)
-
     def upward(self, time: Floats) -> Floats:
         """Upward wave at the top, p; known for one crossing more than the rest [m/s]."""
-        return self.motion.velocity(time - self._crossing) - self._down(time - 2 * self._crossing)
+        down = self._evaluate(0, time - 2.0 * self._crossing)
+        return self.motion.velocity(time - self._crossing) - down
 
     def projectile_velocity(self, time: ArrayLike) -> Floats:
         """Velocity of the projectile, upwards [m/s]."""
@@ -118,20 +109,20 @@ class WaveHistory:
     def _waves(self, depth: Floats, time: float) -> tuple[Floats, Floats]:
         """Upward and downward wave at (depth, time)."""
         from_top = (self.rig.layer.thickness - depth) / self.rig.layer.wave_speed
-        return self.upward(time + from_top), self._down(time - from_top)
+        return self.upward(time + from_top), self._evaluate(0, time - from_top)
 
     def contact_force(self, time: ArrayLike) -> Floats:
         """Force of the layer on the projectile, upwards: 0 in flight [N]."""
         time = np.asarray(time)
-        force = self.rig.layer.impedance * (self.upward(time) - self._down(time) + self._lift)
+        wave = self.upward(time) - self._evaluate(0, time) + self._lift
         events = np.searchsorted([event.time for event in self.events], time)
-        return np.where(events % 2 == 0, force, 0.0)
+        return np.where(events % 2 == 0, self.rig.layer.impedance * wave, 0.0)
 
     def plate_force(self, time: ArrayLike) -> Floats:
         """Force of the layer on the plate, upwards: negative when the plate pushes [N]."""
         time = np.asarray(time)
-        wave = 2.0 * self._down(time - self._crossing) - self.motion.velocity(time)
-        return self.rig.layer.impedance * (wave - self._lift)
+        down = self._evaluate(0, time - self._crossing)
+        return self.rig.layer.impedance * (2.0 * down - self.motion.velocity(time) - self._lift)
 
     def next_kink(self) -> float:
         """First kink clearly after the end; those reached are sent round the layer again."""
@@ -230,14 +221,7 @@ def _first_negative(coefficients: Floats, noise: float) -> float | None:
     roots = chebyshev.chebroots(trimmed)
     real = np.sort(roots[np.abs(roots.imag) < 1e-7].real)
     edges = np.concatenate(([-1.0], real[(real > -1.0) & (real < 1.0)], [1.0]))
-    slope = chebyshev.chebder(coefficients)
     for start, end in pairwise(edges.tolist()):
-        if chebyshev.chebval(0.5 * (start + end), coefficients) >= -noise:
-            continue
-        root = start
-        for _ in range(2 if start > -1.0 else 0):  # Newton
-            change = chebyshev.chebval(root, coefficients) / chebyshev.chebval(root, slope)
-            if abs(change) < 1e-4:
-                root -= change
-        return float(min(max(root, -1.0), 1.0))
+        if chebyshev.chebval(0.5 * (start + end), coefficients) < -noise:
+            return float(start)
     return None

@@ -51,12 +51,10 @@ def first_release(
     weight = gravity_ratio * omega * root
     q = lam / cmath.sqrt(1.0 + theta * lam)
     steady = 1.0 / (cmath.cosh(q) + mu * q * cmath.sinh(q))
-    low = math.pi * np.arange(MODES)
-    high = low + 0.5 * math.pi
-    for _ in range(60):  # bisection of beta sin beta = cos beta / mu
-        beta = 0.5 * (low + high)
-        is_below = (mu * beta * np.sin(beta) - np.cos(beta)) * np.cos(low + 1e-9) < 0.0
-        low, high = np.where(is_below, beta, low), np.where(is_below, high, beta)
+    beta = np.array([
+        brentq(lambda b: mu * b * math.sin(b) - math.cos(b), low, low + 0.5 * math.pi, xtol=1e-14)
+        for low in math.pi * np.arange(MODES)
+    ])
     half = 0.5 * theta * beta**2
     split = np.sqrt(half**2 - beta**2 + 1e-12j * beta**2)
     fast = -half - split

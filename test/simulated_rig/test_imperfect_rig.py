@@ -45,8 +45,7 @@ def test_plate_rings_before_and_has_a_second_mode():
 
 
 def test_plate_rings_with_its_own_damping():
-    rig = Rig()
-    ringing = Imperfections(ringing=0.01, ringing_damping_ratio=0.0)
+    rig, ringing = Rig(), Imperfections(ringing=0.01, ringing_damping_ratio=0.0)
     thrown = throw(rig, ringing, until=0.1, start=-0.02)
     time = np.linspace(0.08, 0.1, 400)
     vibration = thrown.plate(time) - Underdamped.of(rig.engine).position(time)

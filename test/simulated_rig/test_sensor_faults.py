@@ -68,21 +68,9 @@ def test_single_samples_agree_with_a_block():
         noise=1e-5, jitter=1e-5, stamp_error=1e-5, outlier_rate=0.3, outlier_size=1e-3,
         drift=1e-3, projectile_delay=1e-4, projectile_scale=1.1, missing_rate=0.3, rounding=1e-5,
     )
-    block = faults.measure(
-        TIME, plate, projectile, draw_chances(np.random.default_rng(1), 4096 - 96)
-    )
+    time = np.linspace(0.0, 4.0, 4096)
+    block = faults.measure(time, plate, projectile, draw_chances(np.random.default_rng(1), 4096))
     singles = chances_one_by_one(np.random.default_rng(1))
-    chances = draw_chances(np.random.default_rng(1), 4096)
-    assert [next(singles) for _ in range(3)] == [tuple(c[i] for c in chances) for i in range(3)]
-    for i in (0, 1, 3999):
-        some = draw_chances(np.random.default_rng(1), 4000)
-        one = type(some)(*(float(column[i]) for column in some))
-        assert faults.measure(float(TIME[i]), plate, projectile, one) == pytest.approx(
-            tuple(column[i] for column in block)
-        )
-
-
-@pytest.mark.parametrize('name', ['noise', 'missing_rate', 'projectile_scale'])
-def test_impossible_fault_is_refused_with_its_value(name):
-    with pytest.raises(ValueError, match=r'-0\.5'):
-        SensorFaults(**{name: -0.5})
+    for moment, *measured in zip(time.tolist(), *block, strict=True):
+        single = faults.measure(moment, plate, projectile, next(singles))
+        assert single == pytest.approx(tuple(measured))
