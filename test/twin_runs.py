@@ -16,11 +16,12 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import make_stepper
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.prepared_rig import prepare
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
 from soft_throw_ros.twin.sample_buffer import Sample, Samples
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+from soft_throw_ros.twin.session import Session, TickSchedule
 
 BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
@@ -45,7 +46,7 @@ class Run:
         self.outputs: list[Outputs] = []
         self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
-        self.session = Session(self.settings, on_entry=self.on_entry)
+        self.session = Session(prepare(self.settings), on_entry=self.on_entry)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []

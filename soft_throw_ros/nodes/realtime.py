@@ -30,8 +30,7 @@ from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.results import Outputs
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
+from soft_throw_ros.twin.session import Session, TickSchedule
 
 _SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
 _POLL = 0.1  # longest wait of a thread before it checks the request to stop [s]

@@ -70,9 +70,7 @@ class Twin(RealTimeNode):
         self._joints = joint_names(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._serialize_command()
-        session = Session(
-            self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
-        )
+        session = Session(self.parameters.checked, on_entry=self.on_entry)
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )

@@ -18,6 +18,7 @@ import struct
 
 import numpy as np
 from soft_throw_ros.configuration.interface import find_topic, JOINTS, TWIN_TOPICS
+from soft_throw_ros.recording.twin_journal import DECODING_ERRORS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.storage.message import BagError, Message
@@ -33,7 +34,7 @@ _STATE = struct.Struct(f'<{len(State._fields)}d')
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
-_UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
+_UNREPEATABLE = (RequestRejected, *DECODING_ERRORS)
 
 
 class CheckError(BagError):

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
 from typing import Any
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +16,16 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Floats
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.twin.session import TickSchedule
 
 Stamps = NDArray[np.int64]
 
 DECODING_ERRORS = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+    zlib.error,
 )
 """Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
 
@@ -98,7 +100,7 @@ class TwinJournal:
             stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
             rest_heights = onset.rest.plate, onset.rest.projectile
         else:
-            stamp = journal.decode_schedule(entry).deadline(entry['step'])
+            stamp = TickSchedule(**entry['schedule']).deadline(entry['step'])
             clock_offset, rest_heights = self.clock_offset_ns, None
         self._take_effect(entry)
         self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
@@ -41,7 +42,6 @@ from soft_throw_ros.twin.results import (
 )
 from soft_throw_ros.twin.rig_states import OngoingThrow
 from soft_throw_ros.twin.sample_buffer import Onset, PAST, SampleBuffer
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 if TYPE_CHECKING:
     from soft_throw_ros.twin.session import Session

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sample_buffer import (
@@ -22,7 +23,6 @@ from soft_throw_ros.twin.sample_buffer import (
     SampleCounts,
     Samples,
 )
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
 """Time until the plate reaches the speed of a start, over its period. [-]"""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.storage.message import SECOND
 
 Floats = NDArray[np.float64]
 

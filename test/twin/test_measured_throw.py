@@ -20,10 +20,10 @@ from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import draw_chances, SensorFaults
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Phase
 from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.session import RequestRejected
-from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import measured_throw, Run, states_at
 
 ONSET = 0.0512345

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 import pytest
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.sample_buffer import Onset, Sample, SampleCounts, Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
 
 CROSSING = 2e-3  # [s]

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import (
     AMPLITUDE_ERROR,
     PlateObserver,
@@ -18,7 +19,6 @@ from soft_throw_ros.twin.plate_observer import (
     UNMODELLED,
 )
 from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
 from twin_runs import BEGIN, MEASUREMENT, PLATE
 
 NOISE = 5e-6

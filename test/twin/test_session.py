@@ -14,15 +14,33 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.session import RequestRejected
+from soft_throw_ros.twin.session import RequestRejected, TickSchedule
 from twin_runs import Run, stroke
 
 RETURN = round(1000 * RETURN_TIME)
 
 
 # schedule
+
+
+@given(rate=st.floats(10.0, 5000.0), start=st.integers(1, 2**61), steps=st.integers(0, 10**10))
+def test_deadlines_never_drift(rate, start, steps) -> None:
+    schedule = TickSchedule(step=7, time_ns=start, rate=rate)
+    exact = start + steps * SECOND / rate
+    assert abs(schedule.deadline(7 + steps) - exact) <= 1 + 4e-16 * exact
+
+
+@given(rate=st.floats(10.0, 5000.0), stall=st.integers(0, 10**13))
+def test_skipping_leaves_the_allowed_catch_up(rate, stall) -> None:
+    schedule = TickSchedule(step=0, time_ns=SECOND, rate=rate)
+    now, allowed, period = SECOND + stall, SECOND // 10, SECOND / rate
+    ticks = schedule.skip(step=0, now=now, max_catch_up=allowed)
+    late = now - schedule.deadline(0)
+    assert (ticks == 0) == (stall < allowed + period)
+    assert late == stall if not ticks else allowed - 2 <= late <= allowed + period + 2
 
 
 @pytest.mark.parametrize(
