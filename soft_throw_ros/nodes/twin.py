@@ -183,7 +183,7 @@ class Twin(RealTimeNode):
         rig = result.rig, result.max_strain
         if not result.is_valid:
             return throw_text(result)
-        if result.stage == 'predicted' and is_first and not result.is_ahead:
+        if result.stage == 'predicted' and is_first and (result.lead or 0.0) <= 0.0:
             age = self.measurement.age_ns / SECOND
             is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
             late = f'predicted {-1e3 * (result.lead or 0.0):.2f} ms after the release'

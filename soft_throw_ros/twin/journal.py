@@ -104,8 +104,8 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     """
     Encode batches of samples for an entry, each with the step that followed it.
 
-    `data` contains for each sample the step, the stamp and the other fields of `Sample`, 8 bytes
-    each, little endian, compressed by zlib, in base 64.
+    `data` contains the step, the stamp and both heights of each sample, 8 bytes each, little
+    endian, compressed by zlib, in base 64.
     """
     sizes = [len(samples) for _, samples in batches]
     rows = np.empty(sum(sizes), _SAMPLE)

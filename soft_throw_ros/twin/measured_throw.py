@@ -31,7 +31,6 @@ from soft_throw_ros.twin.prepared_rig import (
 from soft_throw_ros.twin.results import (
     Accuracy,
     Comparison,
-    Disturbances,
     LayerState,
     Outputs,
     PredictedState,
@@ -55,17 +54,11 @@ _PREDICTION_ERROR = 0.03
 _NOISY = 0.05
 """Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
 
-LOST = PAST
-"""Time without samples after which the plate is lost, because later ones are too old. [ns]"""
-
 FEWEST_IN_FLIGHT = 8
 """Fewest samples of the projectile in flight that give the errors of the release. [-]"""
 
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
-
-_SKIPPED = 0.5
-"""Delay between two steps that shows that steps have been skipped, in steps. [-]"""
 
 
 class MeasuredThrow(OngoingThrow):
@@ -96,8 +89,6 @@ class MeasuredThrow(OngoingThrow):
         self._is_certain = False  # the plate cannot change the release any more
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
-        self._last_due_ns = 0  # time of the last step [ns]
-        self._time_skipped = 0.0  # of skipped steps [s]
 
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
@@ -109,14 +100,10 @@ class MeasuredThrow(OngoingThrow):
         """Advance as far as the plate is known, and predict from there."""
         buffer, observer, fork = self._buffer, self._observer, self._fork
         due_ns, crossing = self.session.due_ns(outputs.step), self._prepared.rig.crossing_time
-        if buffer.gap > crossing or due_ns - buffer.newest_ns > LOST:
-            self.ended_by = 'gap'
+        if buffer.gap > crossing or due_ns - buffer.newest_ns > PAST:
+            self.ended_by = 'gap'  # also because later samples are too old
         else:
             observer.add(buffer.between(observer.next_ns, buffer.complete_ns + 1))
-        late = (due_ns - self._last_due_ns) / SECOND - self._prepared.tick
-        if self._last_due_ns and late > _SKIPPED * self._prepared.tick:
-            self._time_skipped += late
-        self._last_due_ns = due_ns
         known = observer.newest + crossing
         # a longer extrapolation has no meaning
         latest = known + buffer.config.smoothing_window
@@ -233,12 +220,9 @@ class MeasuredThrow(OngoingThrow):
         if result.is_valid:
             comparison = None if fork else self._compare()
             known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
-        disturbances = Disturbances(
-            clock_offset_ns=self._onset.clock_offset_ns,
-            samples_missing=self._buffer.missing_since(self.start_ns),
-            time_skipped=self._time_skipped,
+        return dataclasses.replace(
+            result, clock_offset_ns=self._onset.clock_offset_ns, **known
         )
-        return dataclasses.replace(result, disturbances=disturbances, **known)
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""

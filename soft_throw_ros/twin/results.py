@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 MOST_LEFT_OUT = 0.05
-"""Largest share of outliers, or of missing samples, without a warning. [-]"""
+"""Largest share of outliers among the samples without a warning. [-]"""
 
 INVALID_ENDS = ('gap', 'noise')
 """Values of `ThrowResult.ended_by` of throws that could not be followed."""
@@ -112,15 +112,6 @@ class Comparison:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Disturbances:
-    """Faults of the measurement during a throw that are no fault of the rig."""
-
-    clock_offset_ns: int = 0  # what was added to the stamps of samples [ns]
-    samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
-    time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Accuracy:
     """
     Standard errors of the release of a measured plate, from the errors of the samples.
@@ -176,7 +167,7 @@ class ThrowResult:
     lead: float | None = None  # how long before the release of a measured plate it was known [s]
     accuracy: Accuracy | None = None  # of the first release of a measured plate
     comparison: Comparison | None = None  # with a measured projectile
-    disturbances: Disturbances | None = None  # of a measured plate
+    clock_offset_ns: int | None = None  # added to the stamps of samples of a measured plate [ns]
 
     @property
     def is_valid(self) -> bool:
@@ -186,11 +177,6 @@ class ThrowResult:
     def stamp(self, due_ns: int) -> int:
         """Return the time of the release, or of the end that is reported in a step [ns]."""
         return due_ns if self.stage == 'final' or self.first is None else self.first.release_ns
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether the release was known before it came."""
-        return self.lead is not None and self.lead > 0.0
 
     @property
     def is_linear(self) -> bool:
@@ -232,7 +218,6 @@ _GROUPS: dict[str, tuple[str, type[Any]]] = {
     'last': ('last_', Release),
     'accuracy': ('accuracy.', Accuracy),
     'comparison': ('residual.', Comparison),
-    'disturbances': ('measurement.', Disturbances),
 }
 """Optional groups of values of a result: prefix of the published names, and type."""
 

@@ -28,8 +28,7 @@ from soft_throw_ros.nodes.calibrator import (
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.sample_buffer import Sample
-from twin_runs import measured_throw
+from twin_runs import measured_throw, Sample
 
 MILLISECOND = SECOND // 1000
 
@@ -123,7 +122,7 @@ def test_only_wrong_predictions_in_a_row_make_the_rig_identified(ros, monkeypatc
     counts = []
     for is_right in (False, True, False, False):
         result = SimpleNamespace(
-            throw=1, rig=Rig(), disturbances=True, ended_by='period', first=None,
+            throw=1, rig=Rig(), clock_offset_ns=0, ended_by='period', first=None,
             comparison=SimpleNamespace(is_within_threshold=is_right),
         )
         calibrator._on_measured_throw(result, 0, SECOND)

@@ -22,8 +22,7 @@ from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.measured import SensorClock, to_samples, TOLERATED
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.sample_buffer import Sample
-from twin_runs import BEGIN, measured_throw, Run
+from twin_runs import BEGIN, measured_throw, Run, Sample
 
 MILLISECOND = SECOND // 1000
 BATCH_NS = 10 * MILLISECOND

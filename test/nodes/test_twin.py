@@ -40,8 +40,8 @@ from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.storage.cdr import stamp_of
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
+from twin_runs import Sample
 
 PUBLISHED = [topic for topic in TWIN_TOPICS if not topic.is_input]
 NUMBERS = TWIN_TOPICS.ejection_time, TWIN_TOPICS.ejection_speed, TWIN_TOPICS.energy_transfer

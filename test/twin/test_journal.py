@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
-from twin_runs import Run
+from twin_runs import Run, Sample, samples_of
 
 
 @pytest.fixture(scope='module')
@@ -83,7 +82,7 @@ def test_results_are_in_the_journal_with_all_digits(eventful) -> None:
 
 numbers = st.floats(allow_nan=False)
 samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers)
-batches = st.lists(samples, min_size=1, max_size=5).map(Samples.of)
+batches = st.lists(samples, min_size=1, max_size=5).map(samples_of)
 
 
 @given(

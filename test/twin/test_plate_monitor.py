@@ -11,8 +11,16 @@ import numpy as np
 import pytest
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.sample_buffer import Onset, Sample, SampleCounts, Samples
-from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
+from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts
+from twin_runs import (
+    BEGIN,
+    INTERVAL,
+    make_samples,
+    MEASUREMENT,
+    PLATE,
+    Sample,
+    samples_of,
+)
 
 CROSSING = 2e-3  # [s]
 
@@ -21,7 +29,7 @@ def detect(samples: list[Sample]) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
     monitor = PlateMonitor(MEASUREMENT, CROSSING, SampleCounts())
     for count, sample in enumerate(samples, 1):
-        monitor.buffer.add(Samples.of([sample]), sample.stamp_ns)
+        monitor.buffer.add(samples_of([sample]), sample.stamp_ns)
         onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count
@@ -89,7 +97,7 @@ def feed(monitor: PlateMonitor, heights: np.ndarray, rate: float) -> None:
         Sample(first_ns + round((n + 1) * SECOND / rate), height)
         for n, height in enumerate(heights.tolist())
     ]
-    monitor.buffer.add(Samples.of(samples), samples[-1].stamp_ns)
+    monitor.buffer.add(samples_of(samples), samples[-1].stamp_ns)
     monitor.advance(samples[-1].stamp_ns)
 
 
