@@ -23,6 +23,7 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
+    MOST_SHARE,
     state_of,
     stepper_of,
     THROW_FIELD_LENGTH,
@@ -51,6 +52,9 @@ Path: TypeAlias = tuple[Floats, Floats]  # times and states of the plate
 _PREDICTION_ERROR = 0.03
 """Largest relative standard error of the ejection speed in the first prediction. [-]"""
 
+_LONGER = 1.3
+"""Latest release that is predicted, over the ejection time with the expected motion. [-]"""
+
 _NOISY = 0.05
 """Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
 
@@ -72,13 +76,16 @@ class MeasuredThrow(OngoingThrow):
 
     def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
         prepared, config = session.prepared, buffer.config
-        assert prepared.fork is not None
-        assert prepared.release_response is not None
+        response, fork = prepared.release_response, prepared.fork
+        assert response is not None
+        assert fork is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
-        self._fork = prepared.fork
-        self._onset, self._buffer = onset, buffer
-        self._observer = PlateObserver(config, onset, prepared.release_response)
+        self._fork, self._onset, self._buffer = fork, onset, buffer
+        self._observer = PlateObserver(config, onset, response)
+        latest = _LONGER * response.release_time
+        is_affordable = fork.cost * latest <= MOST_SHARE * prepared.tick
+        self._latest_release = latest if is_affordable else 0.0  # predicted in a step [s]
         self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
         self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
@@ -108,7 +115,7 @@ class MeasuredThrow(OngoingThrow):
         # a longer extrapolation has no meaning
         latest = known + buffer.config.smoothing_window
         now = min((due_ns - self.start_ns) / SECOND, latest)
-        release_by = self._prepared.latest_release if self._lead is None else 0.0
+        release_by = self._latest_release if self._lead is None else 0.0
         self._move_plate(max(now, known, release_by))
         horizon = self._stepper.horizon
         outputs.events, outputs.residual = self._follow_plate(horizon)

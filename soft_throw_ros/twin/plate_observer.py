@@ -304,7 +304,8 @@ class PlateObserver:
         self._present = memory[0]
         self._steps = np.zeros(_CAPACITY, STEP)
         self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
-        self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
+        none = np.full(1, np.nan)  # no height at the start
+        _filter(memory, np.zeros(1), none, none, 0.0, times, changes, self._steps)
 
     @property
     def newest(self) -> float:
@@ -323,13 +324,7 @@ class PlateObserver:
             expected = self._command.states_at(times)
             heights -= expected[:, 0]
             errors, stamp_error = np.hypot(errors, expected[:, 1] * stamp_error), 0.0
-        self._filter(times, heights, errors, stamp_error)
-
-    def _filter(
-        self, times: Floats, heights: Floats, errors: Floats, stamp_error: float
-    ) -> None:
-        steps, response = self._steps, self._response
-        used = int(self._present['steps'])
+        response, steps, used = self._response, self._steps, int(self._present['steps'])
         if used + times.size > steps.size:
             self._steps = np.zeros(2 * (used + times.size), STEP)
             self._steps[:used] = steps[:used]

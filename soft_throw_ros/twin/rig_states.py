@@ -122,16 +122,9 @@ class Returning:
         time = (session.step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
-        plate = goal.plate_position - origin.plate_position
-        projectile = goal.projectile_position - origin.projectile_position
-        outputs.state = State(
-            plate_position=origin.plate_position + share * plate,
-            projectile_position=origin.projectile_position + share * projectile,
-            plate_velocity=speed * plate,
-            projectile_velocity=speed * projectile,
-            plate_force=0.0,
-            projectile_force=0.0,
-        )
+        ways = [end - start for start, end in zip(origin[:2], goal[:2], strict=True)]
+        positions = (start + share * way for start, way in zip(origin[:2], ways, strict=True))
+        outputs.state = State(*positions, *(speed * way for way in ways), 0.0, 0.0)
 
     def layer(self) -> LayerState:
         """Return the layer lying on the plate without force."""

