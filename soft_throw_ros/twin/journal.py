@@ -23,8 +23,7 @@ checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps fro
 
 All but the last two repeat a run; the last two show whether it is the same. Numbers are written
 with all their digits, so that the same line gives the same floats. Bags have checksums of their
-own, so that an entry is decoded without further tests; one of another program may raise any
-error of its values.
+own; therefore decoding an entry of another program may raise any error of its values.
 """
 
 from __future__ import annotations

@@ -3,9 +3,8 @@
 """
 A throw of a measured plate, with states and predictions of the model ahead of the rig.
 
-A wave needs a crossing time from the plate to the projectile. Therefore the motion of the
-projectile is known for a crossing time longer than the motion of the plate: a fork of the stepper
-advances with any continuation of the plate's motion (see `Stepper.sync_from`).
+A wave needs a crossing time from the plate to the projectile, whose motion is therefore known for
+a crossing time longer than the motion of the plate.
 """
 
 from __future__ import annotations
@@ -70,8 +69,8 @@ class MeasuredThrow(OngoingThrow):
     A throw whose plate is measured, see `OngoingThrow`, by an observer from the onset on.
 
     The stepper follows the smoothed states that do not change any more. In each step a fork goes
-    on from there, along the latest states and their continuation: to the present time, as far as
-    the projectile is known, and until its release.
+    on from there (`Stepper.sync_from`), along the latest states and their continuation: to the
+    present time, as far as the projectile is known, and until its release.
     """
 
     def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
@@ -129,12 +128,9 @@ class MeasuredThrow(OngoingThrow):
                 self._predict(fork.events()[0], known, due_ns)
         if self.ended_by == 'noise':
             self.events, outputs.events = [], []
-        outputs.state, state = states[self._now], states[ahead]
+        outputs.state = states[self._now]
         outputs.prediction = PredictedState(
-            self.start_ns + round(ahead * SECOND),
-            state.projectile_position,
-            state.projectile_velocity,
-            state.projectile_force,
+            self.start_ns + round(ahead * SECOND), *states[ahead][1::2]  # of the projectile
         )
 
     def _move_plate(self, until: float) -> None:
@@ -157,11 +153,7 @@ class MeasuredThrow(OngoingThrow):
         return self.start_ns + round(event.time * SECOND)
 
     def _follow_plate(self, known: float) -> tuple[list[Event], Residual | None]:
-        """
-        Advance as far as the plate is known, and compare with samples of the projectile.
-
-        They are compared until a period of the plate after the release.
-        """
+        """Advance as far as the plate is known; compare until a period after the release."""
         rest, stepper, begin = self._onset.rest, self._stepper, self._compared
         if self.events and begin > self.events[0].time + self._period:
             return self._go_to(known)[1], None
@@ -198,38 +190,33 @@ class MeasuredThrow(OngoingThrow):
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times, states = _joined(self._settled, self._path)
         is_early = times <= max(self._peak_by, release.time if release else 0.0)
-        fastest = peak_speed(times[is_early], states[is_early])
-        return max(fastest, self._buffer.config.start_speed)
-
-    def _assess_accuracy(self, speed: float, peak_speed: float) -> Accuracy:
-        """Return the accuracy of a release."""
-        buffer = self._buffer
-        speed_error, time_error, peak_error = self._observer.errors()
-        # errors of both speeds count as independent: another motion than expected makes them so
-        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return Accuracy(
-            is_certain=self._is_certain,
-            release_time_error=time_error,
-            ejection_speed_error=speed_error,
-            energy_transfer_error=relative_error * (speed / peak_speed) ** 2,
-            samples=len(buffer.between(self.start_ns)) + buffer.outliers,
-            samples_left_out=buffer.outliers,
-        )
+        _, speeds, accelerations = states[is_early].T
+        gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
+        between = speeds[:-1] + 0.5 * np.diff(times[is_early]) * gain**2 / (gain + loss)
+        fastest = max(speeds.max(initial=0.0), between.max(initial=0.0))
+        return max(float(fastest), self._buffer.config.start_speed)
 
     def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
-        """Return the result so far, with its accuracy and the faults of the measurement."""
-        known: dict[str, Any] = {}
-        result = super()._result(stage, fork)
+        """Return the result so far, with its accuracy and its comparison."""
+        known: dict[str, Any] = {'clock_offset_ns': self._onset.clock_offset_ns}
+        result, buffer = super()._result(stage, fork), self._buffer
         if result.first and stage != 'final':
-            self._accuracy = self._assess_accuracy(
-                result.first.ejection_speed, result.peak_plate_speed
+            speed, peak_speed = result.first.ejection_speed, result.peak_plate_speed
+            speed_error, time_error, peak_error = self._observer.errors()
+            # both errors count as independent, because a motion not expected makes them so
+            relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
+            self._accuracy = Accuracy(
+                is_certain=self._is_certain,
+                release_time_error=time_error,
+                ejection_speed_error=speed_error,
+                energy_transfer_error=relative_error * result.first.energy_transfer,
+                samples=len(buffer.between(self.start_ns)) + buffer.outliers,
+                samples_left_out=buffer.outliers,
             )
         if result.is_valid:
             comparison = None if fork else self._compare()
-            known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
-        return dataclasses.replace(
-            result, clock_offset_ns=self._onset.clock_offset_ns, **known
-        )
+            known |= {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
+        return dataclasses.replace(result, **known)
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""
@@ -279,11 +266,3 @@ class MeasuredThrow(OngoingThrow):
 def _joined(first: Path, second: Path) -> Path:
     """Return both parts of a path."""
     return np.concatenate((first[0], second[0])), np.concatenate((first[1], second[1]))
-
-
-def peak_speed(times: Floats, states: Floats) -> float:
-    """Return the largest speed of a plate from its states, with the peaks between them."""
-    speeds, accelerations = states[:, 1], states[:, 2]
-    gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
-    peaks = speeds[:-1] + 0.5 * np.diff(times) * gain**2 / (gain + loss)
-    return float(max(speeds.max(initial=0.0), peaks.max(initial=0.0)))

@@ -118,16 +118,11 @@ class PlateMonitor:
     """
     A monitor of the plate from one throw to the next, and of its sensor.
 
-    The samples of the onset of a throw that has just begun are used again. `crossing_time` is
-    that of the wave in the layer [s].
-
-    Notes
-    -----
-    The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
-    speed of a start, or four standard errors, and no more when it has been for `RISE` of its
-    period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it, and has a start within the next window, see `_find_onset`.
-
+    The samples of the `onset` of a throw that has just begun are used again. The plate is at rest
+    when for `REST_WINDOWS` windows it has not been faster than half of the speed of a start, or
+    four standard errors, and no more when it has been for `RISE` of its period. A throw has begun
+    when it goes upwards at that speed, and at six standard errors of it, and has a start within
+    the next window, see `_find_onset`. `crossing_time` is that of the wave in the layer [s].
     """
 
     def __init__(
@@ -173,10 +168,9 @@ class PlateMonitor:
         if new:
             if math.isnan(self._rest):
                 self._rest, self._projectile = plate.height, (plate.height, 0.0)
-            is_slow = abs(plate.speed) < config.start_speed
-            self._projectile = (
-                (plate.height, plate.speed) if is_slow else (self._projectile[0], 0.0)
-            )
+            self._projectile = self._projectile[0], 0.0
+            if abs(plate.speed) < config.start_speed:
+                self._projectile = plate.height, plate.speed
         return None
 
     def state(self, rest: State) -> State:

@@ -61,7 +61,6 @@ _ANSWERS = 128
 _NEAR = 0.01
 """Time before the release at which the force shows its rate, over the ejection time. [-]"""
 
-
 _WAITING = frozenset(
     entry.name
     for entry in TWIN.entries
@@ -197,7 +196,6 @@ def prepare(
     if before is not None and waiting_values(settings) == waiting_values(before.config.settings):
         return dataclasses.replace(before, config=config)
     stepper = stepper_of(config)
-    rest, rest_layer = state_of(stepper), layer_of(stepper)
     throw_field = fork = response = None
     if config.is_measured:
         _require_time(config, stepper)
@@ -213,8 +211,8 @@ def prepare(
         config=config,
         encoded_motion={path: motions.encode(motion)} if path and motion else {},
         stepper=stepper,
-        rest=rest,
-        rest_layer=rest_layer,
+        rest=state_of(stepper),
+        rest_layer=layer_of(stepper),
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=throw_field,
         fork=fork,
@@ -232,9 +230,8 @@ def _require_time(config: TwinConfig, stepper: Stepper) -> None:
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
     if window * frequency > LONGEST_WINDOW:
         raise ValueError(
-            f'measured.smoothing_window must be at most {LONGEST_WINDOW:g} of the plate period, '
-            f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
-            f'got {window:g} s'
+            f'measured.smoothing_window must be at most {LONGEST_WINDOW / frequency:.4g} s, '
+            f'{LONGEST_WINDOW:g} of the plate period, got {window:g} s'
         )
     # in each step, the fork advances by the time that it is ahead, and for the layer once more
     ahead = 2.0 * config.rig.crossing_time + window

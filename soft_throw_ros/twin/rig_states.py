@@ -124,7 +124,7 @@ class Returning:
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
         ways = [end - start for start, end in zip(origin[:2], goal[:2], strict=True)]
         positions = (start + share * way for start, way in zip(origin[:2], ways, strict=True))
-        outputs.state = State(*positions, *(speed * way for way in ways), 0.0, 0.0)
+        outputs.state = State._make([*positions, *(speed * way for way in ways), 0.0, 0.0])
 
     def layer(self) -> LayerState:
         """Return the layer lying on the plate without force."""

@@ -42,7 +42,6 @@ FEWEST = 4
 _KEPT_WINDOWS = 16
 """Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
 
-
 MEDIAN_DEVIATION = 0.6745
 """Median of the magnitude of standard normal numbers. [-]"""
 
@@ -126,11 +125,7 @@ class SampleCounts:
 
 
 class SampleBuffer:
-    """
-    The accepted samples of the recent past, sorted by stamp.
-
-    The buffer updates the `counts`. It may begin with sorted `samples` that have been accepted.
-    """
+    """The accepted samples of the recent past, sorted by stamp; it updates the `counts`."""
 
     def __init__(
         self, config: MeasurementConfig, counts: SampleCounts, samples: Samples | None = None
@@ -207,8 +202,7 @@ class SampleBuffer:
         if not new:
             return new
         is_outlier = self._outlier_filter.find(new.stamps, new.heights)
-        if is_outlier.any():
-            outliers = int(is_outlier.any(axis=1).sum())
+        if outliers := int(is_outlier.any(axis=1).sum()):
             self.outliers += outliers
             self.counts.outliers += outliers
             new.projectile[is_outlier[:, 1]] = math.nan
@@ -224,14 +218,13 @@ class SampleBuffer:
 
 class OutlierFilter:
     """
-    A filter that finds outliers among the heights of plate and projectile.
+    A Kalman filter of height and velocity of plate and projectile, which finds outliers.
 
-    Each body is followed by a Kalman filter of its height and velocity. Between two samples it has
-    an unknown constant acceleration, whose standard deviation is half of the engine's. A height
-    that is `OUTLIER_SIGMAS` standard errors off is an outlier; the last of `MAX_OUTLIERS_IN_A_ROW`
-    is accepted, because the body moves in another way or the zero of the sensor has moved.
-    Standard errors are from the `noise` [m] and the `stamp_error` [s], which displaces a moving
-    body, or from recent deviations if these are larger.
+    Between two samples a body has an unknown constant acceleration, whose standard deviation is
+    half of the engine's. A height that is `OUTLIER_SIGMAS` standard errors off is an outlier; the
+    last of `MAX_OUTLIERS_IN_A_ROW` is accepted, because the body or the zero of its sensor has
+    moved. Standard errors are from the `noise` [m] and the `stamp_error` [s], which displaces a
+    moving body, or from recent deviations if these are larger.
     """
 
     def __init__(self, plate: Underdamped, noise: float, stamp_error: float) -> None:

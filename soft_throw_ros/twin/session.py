@@ -22,13 +22,7 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig, waiting_values
-from soft_throw_ros.twin.results import (
-    Outputs,
-    Phase,
-    PhaseChange,
-    PlateCommand,
-    ThrowResult,
-)
+from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, PlateCommand, ThrowResult
 from soft_throw_ros.twin.rig_states import (
     AtRest,
     OngoingThrow,
@@ -103,10 +97,9 @@ class Session:
     rest, before the next throw. Not while a controller has the motion of the next throw
     (`engine.command`). Every other change is effective at once.
 
-    If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
-    regardless of the period. It also ends when samples are missing for longer than a wave needs to
-    cross the layer, or when the next throw starts. Settings that wait then take effect with the
-    throw. Between throws, plate and projectile stay at the last measured height of the plate.
+    If the plate is measured, a throw starts when it jumps up after a rest, with the settings that
+    wait. It also ends when samples are missing for longer than a wave needs to cross the layer,
+    or when the next throw starts. Between throws, the rig stays at the last measured height.
 
     """
 
@@ -156,9 +149,8 @@ class Session:
             session._stage(prepare({**settings, **pending}, prepared, motion_of))
             session.throws = entry['throw'] - 1
             session._schedule = TickSchedule(**entry['schedule'])
-            session.begin_throw(
-                journal.decode_onset(entry['onset']) if session.is_measured else None
-            )
+            onset = journal.decode_onset(entry['onset']) if session.is_measured else None
+            session.begin_throw(onset)
         return session
 
     @property
@@ -190,18 +182,9 @@ class Session:
 
     def request_throw(self) -> int:
         """
-        Start a throw with the next step, or after a return to rest if changes are pending.
+        Start a throw with the next step, or after a return if changes are pending.
 
-        Returns
-        -------
-        int
-            Number of the throw.
-
-        Raises
-        ------
-        RequestRejected
-            If a throw is under way, or if the plate is measured.
-
+        Return its number; RequestRejected if a throw is under way, or if the plate is measured.
         """
         with self._lock:
             if self.is_measured:
@@ -237,13 +220,8 @@ class Session:
         Change settings: at once, or when the rig is put back, see the class.
 
         The values include all implied changes, and `prepared` is the rig with all of them; by
-        default it is prepared here. Changes come from one thread.
-
-        Raises
-        ------
-        ValueError
-            If the rig could not be stepped in real time; then nothing has changed.
-
+        default it is prepared here, ValueError if it could not be stepped in real time. Changes
+        come from one thread.
         """
         wanted = prepared or prepare(
             {**self.wanted.config.settings, **values}, self.wanted, motion_of
@@ -290,9 +268,8 @@ class Session:
         """
         Set the deadlines of steps from the next one on.
 
-        The schedule relates the stamps of samples and results to steps. It is written to the
-        journal, and again with every throw, so that any part of a recording determines the steps
-        of its messages.
+        The journal has the schedule, and again with every throw, so that any part of a recording
+        determines the steps of its messages.
         """
         with self._lock:
             self._schedule = replace(schedule)  # its owner changes it later
@@ -317,8 +294,8 @@ class Session:
             self._rig_state.advance(outputs)
             due_ns, since = self.due_ns(self.step), self.step - self._field_start
             outputs.phases = [
-                PhaseChange(phase, due_ns if stamp_ns == _NOW else stamp_ns)
-                for phase, stamp_ns in outputs.phases
+                phase._replace(stamp_ns=due_ns) if phase.stamp_ns == _NOW else phase
+                for phase in outputs.phases
             ]
             row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
             if row != last_row:
@@ -337,18 +314,8 @@ class Session:
         """
         Advance to an entry of a journal of the session, and apply the input of the entry, if any.
 
-        Yields
-        ------
-        Outputs
-            One for each step.
-
-        Raises
-        ------
-        JournalError
-            If the input is unknown. Other entries of another program may raise any error.
-        RequestRejected
-            If the session rejects the input, so that the journal is of another session.
-
+        RequestRejected if the session rejects the input, so that the journal is of another
+        session. An entry of another program may raise any error of its values.
         """
         if entry['kind'] == 'samples':
             for step, samples in journal.decode_samples(entry):
@@ -445,11 +412,7 @@ class Session:
             self.enter(throw, Phase.CONTACT, onset.onset_ns)
 
     def put_back(self) -> None:
-        """
-        Begin the return to rest, with the settings that were pending in effect.
-
-        It ends no sooner than a commanded motion, which the next command would replace.
-        """
+        """Begin the return to rest with the pending settings; a commanded motion ends before."""
         busy_time, ticks = (self._busy_until - self.step) / self.rate, 0
         self._commit()
         if not self.config.is_measured:
