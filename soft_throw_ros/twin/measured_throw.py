@@ -107,7 +107,7 @@ class MeasuredThrow(OngoingThrow):
         buffer, observer, fork = self._buffer, self._observer, self._fork
         due_ns, crossing = self.session.due_ns(outputs.step), self._prepared.rig.crossing_time
         if buffer.gap > crossing or due_ns - buffer.newest_ns > PAST:
-            self.ended_by = 'gap'  # also because later samples are too old
+            self.ended_by = 'gap'  # after `PAST`, missing samples would be refused
         else:
             observer.add(buffer.between(observer.next_ns, buffer.complete_ns + 1))
         known = observer.newest + crossing
@@ -203,7 +203,7 @@ class MeasuredThrow(OngoingThrow):
         if result.first and stage != 'final':
             speed, peak_speed = result.first.ejection_speed, result.peak_plate_speed
             speed_error, time_error, peak_error = self._observer.errors()
-            # both errors count as independent, because a motion not expected makes them so
+            # errors of both speeds count as independent, as an unexpected motion makes them
             relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
             self._accuracy = Accuracy(
                 is_certain=self._is_certain,

@@ -262,9 +262,9 @@ def _integrals_from(times: Floats, rows: Floats) -> Floats:
 
 class PlateObserver:
     """
-    The plate in a throw: height above rest [m], velocity [m/s] and acceleration [m/s2].
+    The plate in a throw; times are since the onset [s].
 
-    Times are since the onset [s].
+    States are rows of height above rest [m], velocity [m/s] and acceleration [m/s2].
     """
 
     def __init__(

@@ -202,7 +202,8 @@ class SampleBuffer:
         if not new:
             return new
         is_outlier = self._outlier_filter.find(new.stamps, new.heights)
-        if outliers := int(is_outlier.any(axis=1).sum()):
+        if is_outlier.any():
+            outliers = int(is_outlier.any(axis=1).sum())
             self.outliers += outliers
             self.counts.outliers += outliers
             new.projectile[is_outlier[:, 1]] = math.nan

@@ -412,7 +412,7 @@ class Session:
             self.enter(throw, Phase.CONTACT, onset.onset_ns)
 
     def put_back(self) -> None:
-        """Begin the return to rest with the pending settings; a commanded motion ends before."""
+        """Begin the return to rest, with pending settings, until a commanded motion is over."""
         busy_time, ticks = (self._busy_until - self.step) / self.rate, 0
         self._commit()
         if not self.config.is_measured:

@@ -40,15 +40,9 @@ def quiet() -> Any:
 # prediction
 
 
-def test_throw_starts_with_the_plate(quiet) -> None:
-    assert quiet.phases()[:3] == [Phase.REST, Phase.CONTACT, Phase.FLIGHT]
-    (entry,) = quiet.entries('throw')
-    assert entry['onset']['onset_ns'] - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
-    assert entry['step'] <= 55  # nothing is lost, though it is seen after 3 ms
-
-
 def test_predicted_release_agrees_with_the_release(quiet) -> None:
     exact = simulate(quiet.rig)
+    assert quiet.phases()[:3] == [Phase.REST, Phase.CONTACT, Phase.FLIGHT]
     (first, certain), (release,) = quiet.results('predicted'), quiet.results('release')
     for result in (first, certain, release):
         tolerance = 0.01 if result is first else 1e-3
@@ -101,10 +95,6 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
     (expected,) = (outputs.throw_field() for outputs in exact.outputs if outputs.throw_field)
     assert field.times == pytest.approx(expected.times, rel=2e-3)
     assert np.abs(field.strain - expected.strain).max() < 5e-3
-    time, *energies = field.energies.T
-    for measured, exact_energy in zip(energies, expected.energies.T[1:], strict=True):
-        difference = np.interp(expected.energies[:, 0], time, measured) - exact_energy
-        assert np.abs(difference).max() < 5e-3 * expected.energies.max()
     assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
 
 
@@ -173,11 +163,8 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
     run, random = Run(**MEASURED), np.random.default_rng(2)
 
     def scatter(samples: list[Sample]) -> list[Sample]:  # by twenty times of what is stated
-        late_ns = np.rint(2e5 * random.standard_normal(len(samples))).astype(int).tolist()
-        return [
-            sample._replace(stamp_ns=sample.stamp_ns + late)
-            for sample, late in zip(samples, late_ns, strict=True)
-        ]
+        late = np.rint(2e5 * random.standard_normal(len(samples))).astype(int).tolist()
+        return [s._replace(stamp_ns=s.stamp_ns + ns) for s, ns in zip(samples, late, strict=True)]
 
     for throw in (1, 2):
         run.measure(noise=5e-6, seed=throw + 1, duration=0.2, change=scatter)

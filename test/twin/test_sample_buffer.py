@@ -11,12 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sample_buffer import (
-    FUTURE,
-    PAST,
-    SampleBuffer,
-    SampleCounts,
-)
+from soft_throw_ros.twin.sample_buffer import FUTURE, PAST, SampleBuffer, SampleCounts
 from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, Sample, samples_of
 
 
