@@ -21,9 +21,8 @@ checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps fro
               `step`, for at most a second, and from the start of a throw on
 ============= ================================================================================
 
-All but the last two repeat a run; the last two show whether it is the same. Numbers are written
-with all their digits, so that the same line gives the same floats. Bags have checksums of their
-own; therefore decoding an entry of another program may raise any error of its values.
+All but the last two repeat a run; the last two show whether it is the same. Numbers have all
+their digits. Bags have checksums; decoding an entry of another program may raise any error.
 """
 
 from __future__ import annotations

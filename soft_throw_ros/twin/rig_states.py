@@ -122,9 +122,11 @@ class Returning:
         time = (session.step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
-        ways = [end - start for start, end in zip(origin[:2], goal[:2], strict=True)]
-        positions = (start + share * way for start, way in zip(origin[:2], ways, strict=True))
-        outputs.state = State._make([*positions, *(speed * way for way in ways), 0.0, 0.0])
+        plate, projectile = origin.plate_position, origin.projectile_position
+        way, other = goal.plate_position - plate, goal.projectile_position - projectile
+        outputs.state = State(
+            plate + share * way, projectile + share * other, speed * way, speed * other, 0.0, 0.0
+        )
 
     def layer(self) -> LayerState:
         """Return the layer lying on the plate without force."""
