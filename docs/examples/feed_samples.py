@@ -12,9 +12,9 @@ from soft_throw_ros.core import Rig, simulate
 
 RATE = 2500  # [Hz]
 throw = simulate(Rig())
-path = throw.trajectory(np.arange(0, RATE // 4) / RATE)
-heights = np.column_stack([path.plate_position, path.projectile_position])
-rest = np.tile([0.0, throw.rest_height], (RATE * 3 // 4, 1))
+states, _ = throw.trajectory(np.arange(0, RATE // 4) / RATE)
+heights = states[:, 1:3]  # of plate and projectile
+rest = np.tile(heights[0], (RATE * 3 // 4, 1))
 cycle = np.concatenate([rest, heights])  # a second: replace this by your sensor
 
 rclpy.init()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 from soft_throw_ros.core.material import LOSSES as LOSS_MODELS
 from soft_throw_ros.core.rig import Layer, Rig
+from soft_throw_ros.core.stepper import PLATE_VELOCITY, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import simulate, throw_many
 from soft_throw_ros.design.recommendation import recommend
 
@@ -149,11 +150,11 @@ def draw(stacks: Sequence[tuple[int, float, Best]], path: Path) -> None:
         left.stairs(levels, edges, color=colour, lw=2.0, baseline=None, label=name)
         cells = _CELLS if best.layer.needs_cells else None
         throw = simulate(Rig(layer=best.layer), cells=cells, until=times[-1])
-        trajectory = throw.trajectory(times)
-        right.plot(1e3 * times, trajectory.projectile_velocity, color=colour)
+        states, _ = throw.trajectory(times)
+        right.plot(1e3 * times, states[:, PROJECTILE_VELOCITY], color=colour)
         release = throw.events[0]
         right.plot(1e3 * release.time, release.velocity, 'o', color=colour, mec='white')
-    plate = trajectory.plate_velocity
+    plate = states[:, PLATE_VELOCITY]
     right.plot(1e3 * times, plate, color=style.BLACK, ls='--', lw=1.0, label='plate')
     left.set(
         xlabel='height in the layer [mm]', ylabel=r'impedance $\rho_s c_s S$ [kg/s]', ylim=0.0

@@ -20,6 +20,7 @@ from PIL import Image
 from soft_throw_ros.commands import identify, track
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
+from soft_throw_ros.core.stepper import PROJECTILE_POSITION
 from soft_throw_ros.core.throw import simulate
 
 Floats = NDArray[np.float64]
@@ -60,9 +61,10 @@ def pictures() -> Iterator[Bytes]:
     """Yield noisy pictures of a throw: three dark spots."""
     rng = np.random.default_rng(0)
     time = np.arange(0.0, DURATION, 1.0 / RATE) - START
-    path = simulate(RIG, until=DURATION).trajectory(np.maximum(time, 0.0))
+    states, _ = simulate(RIG, until=DURATION).trajectory(np.maximum(time, 0.0))
+    rise = states[:, PROJECTILE_POSITION] - states[0, PROJECTILE_POSITION]
     low = Underdamped.of(RIG.engine).position(time) / PIXEL
-    high = (path.projectile_position - path.projectile_position[0]) / PIXEL
+    high = rise / PIXEL
     rows, columns = np.indices(SHAPE)
     for plate, projectile in zip(low, high, strict=True):
         levels = np.full(SHAPE, 200.0)

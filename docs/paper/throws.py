@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import simulate, Throw
 import style
 from style import MILLI
@@ -42,10 +43,9 @@ def shown_throw() -> Throw:
 
 def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats, Floats]:
     """Return heights and strains of material points of the layer, shape (time, points)."""
-    path = throw.trajectory(time, points=points)
-    rest = path.depth * (1.0 - throw.rig.static_sag / throw.rig.layer.thickness)
-    rise = cumulative_trapezoid(path.layer_velocity, time, axis=0, initial=0.0)
-    return rest + rise, path.strain
+    _, layers = throw.trajectory(time, points=points)
+    rise = cumulative_trapezoid(layers[:, 1], time, axis=0, initial=0.0)
+    return np.linspace(0.0, throw.rig.rest_height, points) + rise, layers[:, 3]
 
 
 def bare_flight(throw: Throw, time: Floats) -> Floats:
@@ -63,7 +63,8 @@ def draw_states() -> Figure:
     throw = shown_throw()
     rig = throw.rig
     before = np.arange(0.0, throw.ejection_time, 1e-5)
-    strain = np.abs(throw.trajectory(before, points=97).strain)
+    _, layers = throw.trajectory(before, points=97)
+    strain = np.abs(layers[:, 3])
     moments = (
         (0.0, 'at rest'),
         (rig.crossing_time, 'wave is at the top'),
@@ -112,9 +113,9 @@ def draw_state(
         vmin=-limit, vmax=limit,
     )
     axes.plot(edges[[0, 0, 1, 1]], MILLI * heights[[0, -1, -1, 0]], color='0.35', lw=0.8)
-    path = throw.trajectory(np.array([moment]))
+    states, _ = throw.trajectory(moment)
     for left, bottom, color in (
-        (_GAP, float(path.projectile_position[0]), PROJECTILE),
+        (_GAP, float(states[0, PROJECTILE_POSITION]), PROJECTILE),
         (-_GAP - width, float(bare_flight(throw, np.array([moment]))[0]), BARE),
     ):
         size = (width, MILLI * rig.projectile.length)
@@ -134,16 +135,16 @@ def draw_traces() -> Figure:
         height=6.2, grid=(2, 1), sharex=True,
     )
     time = np.linspace(0.0, _DRAWN_TIME, 1601)
-    path = throw.trajectory(time)
+    states, layers = throw.trajectory(time)
+    _, plate_heights, projectile_heights, plate_speeds, projectile_speeds, _, _ = states.T
     thickness = throw.rig.layer.thickness
     bare = time >= Underdamped.of(throw.rig.engine).peak_velocity_time
     free = time >= throw.ejection_time
-    panels[0].plot(MILLI * time[free], MILLI * (path.top_position - thickness)[free], color='0.5',
+    panels[0].plot(MILLI * time[free], MILLI * (layers[free, 0, -1] - thickness), color='0.5',
                    lw=1.2, label='top of the layer')
     lines = (
-        (path.plate_position, path.projectile_position - thickness, bare_flight(throw, time)),
-        (path.plate_velocity, path.projectile_velocity,
-         np.full(time.shape, throw.peak_plate_speed)),
+        (plate_heights, projectile_heights - thickness, bare_flight(throw, time)),
+        (plate_speeds, projectile_speeds, np.full(time.shape, throw.peak_plate_speed)),
     )
     for axes, scale, (plate, projectile, alone) in zip(panels, (MILLI, 1.0), lines, strict=True):
         dashed = {'color': BARE, 'ls': '--', 'label': 'projectile on bare plate'}
@@ -186,7 +187,7 @@ def draw_throw() -> Figure:
     rig = Rig()
     throw = simulate(rig, until=_README_TIME)
     time = np.linspace(0.0, _README_TIME, 1101)
-    path = throw.trajectory(time)
+    states, _ = throw.trajectory(time)
     heights, strain = heights_of_layer(throw, time, points=97)
 
     figure = Figure(figsize=(style.WIDTH, 4.8), layout='constrained')
@@ -202,8 +203,8 @@ def draw_throw() -> Figure:
     for material in (24, 48, 72):
         axes.plot(MILLI * time, MILLI * heights[:, material], color='0.35', lw=0.6)
     axes.plot(MILLI * time, MILLI * heights[:, -1], color='0.35', lw=1.0)
-    axes.plot(MILLI * time, MILLI * path.plate_position, color=PLATE, lw=2.5)
-    lower = MILLI * path.projectile_position
+    axes.plot(MILLI * time, MILLI * states[:, PLATE_POSITION], color=PLATE, lw=2.5)
+    lower = MILLI * states[:, PROJECTILE_POSITION]
     upper = lower + MILLI * rig.projectile.length
     axes.fill_between(MILLI * time, lower, upper, color=PROJECTILE, alpha=0.85)
     # A projectile on the bare plate leaves at the largest speed of the plate

@@ -12,10 +12,10 @@ import re
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.commands import options, output
 from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import motions, rig_of, TWIN
+from soft_throw_ros.configuration.csv_rows import Floats
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of
@@ -28,46 +28,32 @@ from soft_throw_ros.design.requests import RequestResult, solve_request
 from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 import yaml
 
-Floats = NDArray[np.float64]
-
 _RANGE = re.compile(r'([^:-][^:]*):([^:]+)(?::([2-9]|[1-9]\d+))?(:log)?')
+# Ranges of ratios that are given by name alone
 _RATIOS = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.5:50:log'}
-"""Ranges of ratios that are given by name alone."""
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the task named by the first argument with the other arguments; return its exit code."""
     parser = CommandParser(description=__doc__)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
-    for name, (add_arguments, run, purpose) in _TASKS.items():
+    for name, (run, purpose, title, parameters) in _TASKS.items():
         task = tasks.add_parser(name, help=purpose, description=f'{purpose.capitalize()}.')
         task.usage = '%(prog)s [OPTION ...]'
-        add_arguments(task)
+        if name == 'map':
+            _add_map_arguments(task)
+        else:
+            task.add_json_option()
+            options.add_options(task, parameters.split(), title=title)
+        if name == 'motion':
+            task.add_argument(
+                '--output', metavar='FILE', nargs='+', type=options.new_file(*_MOTION_WRITERS),
+                default=[], help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory) '
+                'or .png (picture)',
+            )
         options.add_rig_options(task)
         task.set_defaults(run=run)
     return output.run_command(parser, lambda arguments: arguments.run(arguments), args)
-
-
-def _add_recommend_arguments(parser: CommandParser) -> None:
-    parser.add_json_option()
-    names = [f'recommendation.{name}' for name in ('objective', 'vary', 'max_strain')]
-    options.add_options(parser, [*names, 'layer.library'], title='request')
-
-
-def _add_aim_arguments(parser: CommandParser) -> None:
-    parser.add_json_option()
-    names = [f'recommendation.{name}' for name in ('target_height', 'target_speed', 'max_strain')]
-    options.add_options(parser, names, title='target and limit')
-
-
-def _add_motion_arguments(parser: CommandParser) -> None:
-    parser.add_json_option()
-    parser.add_argument(
-        '--output', metavar='FILE', nargs='+', type=options.new_file(*_MOTION_WRITERS), default=[],
-        help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory) or .png (picture)',
-    )
-    names = [f'recommendation.plate_{name}' for name in ('speed', 'acceleration', 'travel')]
-    options.add_options(parser, names, title='limits of the actuator')
 
 
 def _add_map_arguments(parser: CommandParser) -> None:
@@ -299,9 +285,18 @@ _MAP_WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
     '.nc': Landscape.save, '.png': _draw_map,
 }
 _TASKS = {
-    'recommend': (_add_recommend_arguments, _recommend, 'recommend a layer'),
-    'aim': (_add_aim_arguments, _recommend, 'find the amplitude that reaches a height or speed'),
-    'motion': (_add_motion_arguments, _design_motion, 'optimise the motion of the plate'),
-    'map': (_add_map_arguments, _map, 'map ejection time and energy over two axes'),
+    'recommend': (
+        _recommend, 'recommend a layer', 'request',
+        'recommendation.objective recommendation.vary recommendation.max_strain layer.library',
+    ),
+    'aim': (
+        _recommend, 'find the amplitude that reaches a height or speed', 'target and limit',
+        'recommendation.target_height recommendation.target_speed recommendation.max_strain',
+    ),
+    'motion': (
+        _design_motion, 'optimise the motion of the plate', 'limits of the actuator',
+        'recommendation.plate_speed recommendation.plate_acceleration recommendation.plate_travel',
+    ),
+    'map': (_map, 'map ejection time and energy over two axes', '', ''),
 }
-"""Tasks by name: functions that add the arguments and run it, and its purpose."""
+"""Tasks by name: the function that runs it, its purpose, title and parameters of its options."""

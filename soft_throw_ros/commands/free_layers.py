@@ -19,10 +19,6 @@ _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a w
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Warnings go to standard error."""
-    return output.run_command(_parser(), _run, args)
-
-
-def _parser() -> CommandParser:
     parser = CommandParser(description=__doc__, usage='%(prog)s [OPTION ...] M FILE [M FILE ...]')
     add = parser.add_argument
     add('layers', metavar='M FILE', nargs='+',
@@ -33,7 +29,7 @@ def _parser() -> CommandParser:
     parser.add_json_option()
     add_track_options(parser)
     options.add_rig_options(parser, options.MEASURED_PARAMETERS[1:])  # not the thickness
-    return parser
+    return output.run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -47,23 +43,27 @@ def _run(arguments: argparse.Namespace) -> int:
         ends = read_layer(path, arguments)
         with output.report_io_errors(path, ValueError):
             periods.append(fit_period(*ends))
-    speed = fit_wave_speed(thicknesses, periods, thickness_error=arguments.thickness_error)
+    speed, probability = fit_wave_speed(
+        thicknesses, periods, thickness_error=arguments.thickness_error
+    )
     layers = list(zip(thicknesses, periods, strict=True))
     lines = [
         f'{1e3 * size:.4g} mm: period {1e3 * period.value:.5g} +- {1e3 * period.error:.2g} ms'
         for size, period in layers
     ]
-    warning = 'the periods are not proportional to the thicknesses (probability '
-    warning += f'{speed.probability:.1g}): is it one material?'
+    warning = (
+        'the periods are not proportional to the thicknesses (probability '
+        f'{probability:.1g}): is it one material?'
+    )
     known = options.stated_parameters(arguments) | {'layer.wave_speed'}
     assumed = [name for name in DEFAULT_IS_ANOTHER_RIG if name not in known]
     values = values_of(rig_of(settings), assumed)
     IdentificationReport(
         sources=tuple(paths),
-        rows=(Row.of('layer.wave_speed', speed.value), *held_rows(values, assumed)),
+        rows=(Row.of('layer.wave_speed', speed), *held_rows(values, assumed)),
         lines=tuple(lines),
         data={'layers': [{'thickness': size, 'period': period} for size, period in layers]},
-        warnings=(warning,) * (speed.probability < _SIGNIFICANCE),
+        warnings=(warning,) * (probability < _SIGNIFICANCE),
     ).finish(settings, arguments, 'free_layers')
     return 0
 

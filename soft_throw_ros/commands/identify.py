@@ -21,7 +21,6 @@ from soft_throw_ros.commands.identify_report import (
     fit_rows,
     held_rows,
     IdentificationReport,
-    REST_WAVE_SPEED,
     Row,
 )
 from soft_throw_ros.commands.options import (
@@ -34,7 +33,7 @@ from soft_throw_ros.commands.options import (
 )
 from soft_throw_ros.commands.output import CommandParser, run_command, written_file
 from soft_throw_ros.configuration import rig_of, Settings
-from soft_throw_ros.identification.ejection import doubt, Ejection, ejection_of
+from soft_throw_ros.identification.ejection import doubt, Release, releases_of
 from soft_throw_ros.identification.fit_description import (
     ENGINE,
     FitDescription,
@@ -60,10 +59,6 @@ _MAX_THROWS = 6  # largest number of throws in one figure
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Notes and warnings go to standard error."""
-    return run_command(_parser(), _run, args)
-
-
-def _parser() -> CommandParser:
     parser = CommandParser(
         description=__doc__.strip().partition('\n')[0],
         usage='%(prog)s [OPTION ...] FILE ...',
@@ -95,7 +90,7 @@ def _parser() -> CommandParser:
     )
     parser.add_json_option()
     add_rig_options(parser, MEASURED_PARAMETERS)
-    return parser
+    return run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -115,31 +110,25 @@ def _run(arguments: argparse.Namespace) -> int:
     result = fit_rig(throws, rig_of(settings), description)
     if not result.is_complete:
         notes.append('the search for a loss and for other minima took too long, and is incomplete')
-    warnings, ejection = fit_warnings(result.fit), None
+    warnings, releases = fit_warnings(result.fit), []
     if is_thrown:
         try:
-            ejection = ejection_of(result)
+            releases = releases_of(result)
         except FitError as error:
             warnings.append(f'no release is predicted: {error}')
-    relevant = [
-        name for name in PARAMETERS
-        if name in ENGINE or (is_thrown and name not in description.assumed)
-    ]
-    rows = [row for row in fit_rows(result) if row.name in (*relevant, REST_WAVE_SPEED)]
-    found = [row.name for row in rows]
+    rows = list(fit_rows(result))
     if arguments.figure:
-        short = [row._replace(note='') for row in rows]
-        summary = [f'{row.name.rpartition(".")[2]} {row}' for row in short]
-        _draw_throws(result, ejection, summary, arguments.figure)
-    held = [name for name in (PARAMETERS if is_thrown else ENGINE) if name not in found]
+        _draw_throws(result, releases, rows, arguments.figure)
+    names = PARAMETERS if is_thrown else ENGINE
+    held = [name for name in names if name not in result.model.indices]
     rows += held_rows(values_of(result.model.rig, held), description.assumed)
-    rows += ejection_rows(ejection) if ejection else ()
+    rows += ejection_rows(releases)
     rows += [Row.of(name, value) for name, value in result.terms().items()]
     assumed = ', '.join(name for name in description.assumed if name in held)
     head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
     verdict = None
     if is_thrown and 'layer.wave_speed' in result.model.indices:
-        reason = doubt(result, ejection)
+        reason = doubt(result, releases)
         verdict = {'is_good_enough': not reason, 'reason': reason}
         head.append(
             f'not good enough to choose a layer: {reason}' if reason
@@ -160,9 +149,8 @@ def _run(arguments: argparse.Namespace) -> int:
 def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
     """Read the description of a fit from file and options, before `read_settings`."""
     known = _split_known(arguments)
-    description = FitDescription()
-    if arguments.fit_file:
-        description = FitDescription.from_file(arguments.fit_file)
+    file = arguments.fit_file
+    description = FitDescription.from_file(file) if file else FitDescription()
     if arguments.one_camera:
         held = dict.fromkeys(_OF_TWO_SENSORS, FIXED)
         description = description.change({**held, **description.parameters})
@@ -188,7 +176,7 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
 
 
 def _draw_throws(
-    result: RigFit, ejection: Ejection | None, summary: Sequence[str], path: Path
+    result: RigFit, releases: Sequence[Release], rows: Sequence[Row], path: Path
 ) -> None:
     """Draw the contact in tracks and model of some throws, all residuals, and a summary."""
     from matplotlib.figure import Figure
@@ -223,10 +211,11 @@ def _draw_throws(
     )
     above.legend(loc='upper right')
     below[-1].set_xlabel('time since the plate began to move (ms); dotted: release')
-    if ejection is not None:
+    if releases:
         for panel in (above, *below):
-            panel.axvline(1e3 * ejection.first.time.value, color='0.4', ls=':')
-    rows = [', '.join(summary[k:k + 3]) for k in range(0, len(summary), 3)]
-    figure.suptitle('\n'.join(rows).replace('+-', '±'), fontsize='medium')
+            panel.axvline(1e3 * releases[0].time.value, color='0.4', ls=':')
+    texts = [f'{row.name.rpartition(".")[2]} {row._replace(note="")}' for row in rows]
+    lines = [', '.join(texts[k:k + 3]) for k in range(0, len(texts), 3)]
+    figure.suptitle('\n'.join(lines).replace('+-', '±'), fontsize='medium')
     with written_file(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

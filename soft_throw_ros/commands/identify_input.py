@@ -39,17 +39,12 @@ from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.recorded_positions import read_positions
 from soft_throw_ros.storage.regular_file import read_regular_file
 
-_MAX_BYTES = 1 << 26
-"""Size of a CSV file [byte]: minutes of two tracks at 10 kHz."""
-
+# Endings of topics by preference: measured positions come before positions of a twin
 _PREFERRED = tuple(
     topic.at('').name for topic in (TWIN_TOPICS.measured_joint_states, TWIN_TOPICS.joint_states)
 )
-"""Endings of topics by preference: measured positions come before positions of a twin."""
-
-_MAX_INTERVAL = 0.01
-"""Usual time between samples, above which the unit of time is doubtful. [s]"""
-
+_MAX_BYTES = 1 << 26  # size of a CSV file [byte]: minutes of two tracks at 10 kHz
+_MAX_INTERVAL = 0.01  # usual time between samples, above which the unit of time is doubtful [s]
 _MAX_FALSE_THROWS = 10  # number of throws up to which noise may have split a record of one throw
 _ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of the noise
 

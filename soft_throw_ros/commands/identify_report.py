@@ -19,7 +19,7 @@ from soft_throw_ros.commands.output import print_note, print_result, written_fil
 from soft_throw_ros.configuration import files, ParameterError, Settings, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.twin_config import BOUND_PER_DEVIATION
-from soft_throw_ros.identification.ejection import Ejection
+from soft_throw_ros.identification.ejection import Release
 from soft_throw_ros.identification.least_squares import Estimate, Fit
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.systematics import FLOORS
@@ -41,10 +41,8 @@ class Row(NamedTuple):
     """A quantity of the report."""
 
     name: str
-    value: float
-    """[SI]"""
-    error: float | None = None
-    """Standard error; None if the fit held the value. [SI]"""
+    value: float  # [SI]
+    error: float | None = None  # standard error; None if the fit held the value [SI]
     note: str = ''
 
     @classmethod
@@ -85,7 +83,7 @@ class IdentificationReport:
         """Held parameters that nobody stated."""
         return [row.name for row in self.rows if row.note == ASSUMED]
 
-    def table(self) -> Iterator[str]:
+    def _table(self) -> Iterator[str]:
         """Yield the lines of the report."""
         if self.head:
             yield from (*self.head, '')
@@ -94,18 +92,7 @@ class IdentificationReport:
         if self.lines:
             yield from ('', *self.lines)
 
-    def values(self) -> dict[str, object]:
-        """Return the report for programs, in SI units."""
-        return {
-            'sources': self.sources,
-            'rows': [{**row._asdict(), 'unit': row.unit} for row in self.rows],
-            'assumed': self.assumed,
-            **self.data,
-            'notes': self.notes,
-            'warnings': self.warnings,
-        }
-
-    def put_into(self, settings: Settings) -> Settings:
+    def _put_into(self, settings: Settings) -> Settings:
         """Return settings with the values and errors of the fit; may raise ParameterError."""
         request: dict[str, Value] = {}
         for row in self.rows:
@@ -129,14 +116,22 @@ class IdentificationReport:
 
     def finish(self, settings: Settings, arguments: argparse.Namespace, command: str) -> None:
         """Write the parameter file on request, and print the report, notes and warnings."""
-        identified = self.put_into(settings)
+        identified = self._put_into(settings)
         if arguments.output:
-            self.write(identified, arguments.output)
-        print_result(self.values(), self.table(), as_json=arguments.json)
+            self._write(identified, arguments.output)
+        data = {
+            'sources': self.sources,
+            'rows': [{**row._asdict(), 'unit': row.unit} for row in self.rows],
+            'assumed': self.assumed,
+            **self.data,
+            'notes': self.notes,
+            'warnings': self.warnings,
+        }
+        print_result(data, self._table(), as_json=arguments.json)
         for message in (*self.notes, *self.warnings):
             print_note(command, message)
 
-    def write(self, settings: Settings, path: Path) -> None:
+    def _write(self, settings: Settings, path: Path) -> None:
         """Write the parameters of the rig, and all others that differ from their defaults."""
         kept = {
             entry.name: settings[entry.name]
@@ -173,9 +168,9 @@ def fit_rows(result: RigFit) -> Iterator[Row]:
             yield Row.of(name, estimate)
 
 
-def ejection_rows(ejection: Ejection) -> Iterator[Row]:
+def ejection_rows(releases: Sequence[Release]) -> Iterator[Row]:
     """Yield the first release, and its alternatives beyond a jump."""
-    for release in (ejection.first, *ejection.alternatives):
+    for release in releases:
         note = ''
         if release.echoes:
             count = 'one echo' if abs(release.echoes) == 1 else f'{abs(release.echoes)} echoes'

@@ -8,7 +8,6 @@ import argparse
 import itertools
 import os
 from pathlib import Path
-import re
 import tempfile
 
 from soft_throw_ros.commands.options import any_number, new_file, number_type
@@ -25,11 +24,9 @@ from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.twin_journal import find_throws, ThrowStart
 from soft_throw_ros.storage.bag_reader import BagReader
 
-_BATCH = 5000
-"""Number of messages of a bag that are drawn at once."""
-
-_MOMENT = 0.7
-"""Default time of the cursor in a contact. [ejection times]"""
+_BATCH = 5000  # number of messages of a bag that are drawn at once
+_MOMENT = 0.7  # default time of the cursor in a contact [ejection times]
+_SIZE = '1600x1000'  # of a screenshot [pixels]
 
 
 def main(args: list[str] | None = None) -> int:
@@ -39,7 +36,22 @@ def main(args: list[str] | None = None) -> int:
     The exit code is 0; 1 if the viewer is not there; 2 if Rerun is not installed, or there is no
     such bag, or none of a twin; 130 after Ctrl-C while a bag is read.
     """
-    return run_command(_parser(), _run, args)
+    parser = CommandParser(description=__doc__)
+    add = parser.add_argument
+    add('bag', metavar='BAG', help='a bag or an .mcap file')
+    files = parser.add_mutually_exclusive_group()
+    files.add_argument('--save', metavar='FILE.rrd', type=new_file(),
+                       help='write a recording of Rerun, show nothing')
+    files.add_argument('--screenshot', metavar='FILE.png', type=new_file(),
+                       help='write a picture, open no window')
+    add('--throw', metavar='N', type=int,
+        help='show this throw (default the last complete one with a release)')
+    add('--at', metavar='TIME', type=any_number,
+        help='show it at this time of the rig since the throw started, in seconds '
+        '(default in the contact)')
+    port = number_type('from 1024 to 65535', lambda port: port in range(1024, 65536))
+    add('--port', type=port, default=viewer.PORT, help='port of the viewer (default %(default)s)')
+    return run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -54,36 +66,6 @@ def _run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return 130
     return 0
-
-
-def _parser() -> CommandParser:
-    parser = CommandParser(description=__doc__)
-    add = parser.add_argument
-    add('bag', metavar='BAG', help='a bag or an .mcap file')
-    files = parser.add_mutually_exclusive_group()
-    files.add_argument('--save', metavar='FILE.rrd', type=new_file(),
-                       help='write a recording of Rerun, show nothing')
-    files.add_argument('--screenshot', metavar='FILE.png', type=new_file(),
-                       help='write a picture, open no window')
-    add('--size', metavar='WxH', type=_size, default='1600x1000',
-        help='screenshot size in pixels (default %(default)s)')
-    add('--throw', metavar='N', type=int,
-        help='show this throw (default the last complete one with a release)')
-    add('--at', metavar='TIME', type=any_number,
-        help='show it at this time of the rig since the throw started, in seconds '
-        '(default in the contact)')
-    add('--port', type=_port, default=viewer.PORT,
-        help='port of the viewer (default %(default)s)')
-    return parser
-
-
-_port = number_type('from 1024 to 65535', lambda port: port in range(1024, 65536))
-
-
-def _size(text: str) -> str:
-    if re.fullmatch(r'[1-9]\d{2,3}x[1-9]\d{2,3}', text) is None:
-        raise argparse.ArgumentTypeError(f'must be as 1600x1000, below 10000, got {text!r}')
-    return text
 
 
 def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
@@ -105,7 +87,7 @@ def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
         recording = Path(folder) / 'scene.rrd'
         _draw(reader, throw, recording)
         if arguments.screenshot:
-            options = '--headless', '--window-size', arguments.size
+            options = '--headless', '--window-size', _SIZE
             with viewer.Viewer(viewer.free_port(), *options) as process:
                 picture = process.photograph(recording, *at)
             with written_file(arguments.screenshot) as unfinished:
@@ -145,7 +127,7 @@ def _draw(reader: BagReader, throw: ThrowStart | None, path: Path) -> None:
             scene.show(batch)
         scene.arrange()
     damage = f', {scene.damage}' if scene.damage else ''
-    if scene.is_empty:
+    if not scene.drawn_twins():
         raise ValueError(f'{reader.path}: nothing of a twin could be read{damage}')
     if scene.damaged:
         print_note('inspect', f'{reader.path}: {scene.damaged} messages are left out{damage}')

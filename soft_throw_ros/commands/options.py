@@ -46,11 +46,8 @@ _MOTION = replace(
 )
 """The option `--motion`, whose value may be a file."""
 
-_NAMED = 'named'
-"""Attribute of the arguments with the names of the parameters that `-p` sets."""
-
-_FIGURES = ('.png', '.pdf', '.svg')
-"""Suffixes of files that Matplotlib writes."""
+_NAMED = 'named'  # attribute of the arguments with the names of the parameters that `-p` sets
+_FIGURES = ('.png', '.pdf', '.svg')  # suffixes of files that Matplotlib writes
 
 
 class _SetParameter(argparse.Action):

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 from soft_throw_ros.recording.rerun_text import UNITS
-from soft_throw_ros.storage.atomic_file import atomic_file
+from soft_throw_ros.storage.regular_file import atomic_file
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -103,7 +103,8 @@ def print_note(command: str, text: str) -> None:
 
 def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
     """Print a result as JSON, or else as lines, which are only then computed."""
-    print_lines([to_json(data)] if as_json else lines)
+    text = [json.dumps(_plain(data), indent=2, allow_nan=False)] if as_json else lines
+    print_lines(text)
 
 
 def print_lines(lines: Iterable[str]) -> None:
@@ -115,12 +116,8 @@ def print_lines(lines: Iterable[str]) -> None:
     print(text, flush=True)
 
 
-def to_json(data: object) -> str:
-    """Format dataclasses, named tuples and arrays as JSON; non-finite numbers become null."""
-    return json.dumps(_plain(data), indent=2, allow_nan=False)
-
-
 def _plain(value: object) -> object:
+    """Convert dataclasses, named tuples and arrays for JSON; non-finite numbers become None."""
     if is_dataclass(value):
         names = [field.name for field in fields(value) if not field.name.startswith('_')]
         return {name: _plain(getattr(value, name)) for name in names}

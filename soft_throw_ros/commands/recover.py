@@ -14,9 +14,9 @@ from soft_throw_ros.recording.recovery import recover
 def main(args: list[str] | None = None) -> int:
     """Run the command; exit code 0 if all messages were recovered, 1 if not, 2 if none were."""
     parser = CommandParser(
-        description='Repair a bag after a crash or disk error: copy all messages before the first '
-        'damage of each file to a new bag. The old bag is not changed.',
-        epilog='Exit code: 0 if all messages were recovered, 1 if some were lost, 2 if all were.',
+        description=__doc__,
+        epilog='The old bag is not changed. Exit code: 0 if all messages were recovered, 1 if '
+        'some were lost, 2 if all were.',
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
     parser.add_argument(
@@ -32,7 +32,7 @@ def _run(arguments: argparse.Namespace) -> int:
     recovery = recover(source, arguments.to or path.with_name(f'{name}_recovered'))
     width = max(map(len, recovery.saved))
     print_lines([
-        f'{recovery.target}: {recovery.message_count} messages recovered',
+        f'{recovery.target}: {recovery.saved.total()} messages recovered',
         *(f'  {topic:{width}} {count:12}' for topic, count in recovery.saved.items()),
         *(f'omitted: {part}' for part in recovery.omitted),
     ])

@@ -106,7 +106,7 @@ def _simulated(rig: Rig) -> dict[str, float]:
     """Simulate a throw to its end."""
     throw = simulate(rig)
     mass, release, loads = rig.projectile.mass, throw.events[0], throw.loads
-    rise = release.position - throw.rest_height
+    rise = release.position - rig.rest_height
     projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
     result: dict[str, float] = {
         'ejection_time': throw.ejection_time,
@@ -117,7 +117,7 @@ def _simulated(rig: Rig) -> dict[str, float]:
         'recontacts': len(throw.ejections) - 1,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
-        'last_energy_transfer': throw.last_energy_transfer,
+        'last_energy_transfer': (throw.last_release.velocity / throw.peak_plate_speed) ** 2,
         **{f'peak_{name}': value for name, value in loads._asdict().items()},
         'plate_work': throw.plate_work,
         'layer_energy': throw.plate_work - throw.heat - projectile_energy,

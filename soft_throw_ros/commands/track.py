@@ -22,21 +22,16 @@ from soft_throw_ros.identification.tracks import (
     Track,
     TrackError,
 )
-from soft_throw_ros.identification.video import camera_rate, read_pictures
+from soft_throw_ros.identification.video import read_pictures
 
 _GRAVITY = 9.81  # acceleration by gravity where rigs are filmed [m/s2]
 _MAX_ACCELERATION = 1e5  # acceleration beyond that of any plate [m/s2]
 _MAX_FALL = 1.4  # apparent gravity over gravity, or its inverse, beyond which a rate is wrong
 _MIN_SEEN = 0.5  # share of the pictures that must show the plate for its frequency
-_MAX_RATE_ERROR = 0.01  # deviation from the rate in the file, beyond which a note is printed
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Notes on missing samples go to standard error."""
-    return output.run_command(_parser(), _run, args)
-
-
-def _parser() -> CommandParser:
     parser = CommandParser(description=__doc__)
     add = parser.add_argument
     add('video', metavar='VIDEO', help='file that FFmpeg reads, or folder of numbered pictures')
@@ -56,7 +51,7 @@ def _parser() -> CommandParser:
         '--overlay', metavar='FILE.png', type=options.new_file('.png'),
         help='picture of the paths of the spots',
     )
-    return parser
+    return output.run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -70,10 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
         tracks = tracks_of(spots, bodies, rate=rate, scale=length / pixels)
         if 'plate' in tracks:
             _check_rate(tracks, rate=rate, pictures=count)
-        notes = list(_gap_notes(spots, count))
-        recorded = camera_rate(arguments.video)
-        if recorded and abs(rate / recorded - 1.0) > _MAX_RATE_ERROR:
-            notes.append(f'--rate is {rate:g}, but the file gives {recorded:g}')
+    notes = list(_gap_notes(spots, count))
     noises = ', '.join(f'{body} {track.noise:.2g} m' for body, track in tracks.items())
     scale = f'{rate:g} pictures per second, {pixels:g} pixels are {length:g} m.'
     lines = [

@@ -50,39 +50,26 @@ PARTS: dict[str, Callable[[], object]] = {
 def main(args: list[str] | None = None) -> int:
     """Run the command; the exit code is 0."""
     parser = CommandParser(description='Compile all kernels, once for this installation.')
-    parser.add_argument(
-        'parts', metavar='PART', nargs='*',
-        help=f'parts to compile, from {", ".join(PARTS)} (default: all)',
-    )
     return run_command(parser, _run, args)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _run(_arguments: argparse.Namespace) -> int:
     for signal_number in (signal.SIGINT, signal.SIGTERM):
         # Exit at once, because numba would print a long traceback; files on the disk are complete.
         signal.signal(signal_number, lambda number, _: os._exit(128 + number))
-    parts = arguments.parts or list(PARTS)
-    for part in parts:  # argparse would check an empty list against choices
-        if part not in PARTS:
-            raise ValueError(f'PART must be one of {", ".join(PARTS)}, got {part!r}')
-    for part in parts:
+    for part in PARTS:
         begin = time.monotonic()
-        load_kernels([part], say=_print_line)
-        _print_line(f'{part}: ready, {time.monotonic() - begin:.1f} s')
+        load_kernels([part], say=lambda line: print_lines([line]))
+        print_lines([f'{part}: ready, {time.monotonic() - begin:.1f} s'])
     return 0
-
-
-def _print_line(line: str) -> None:
-    print_lines([line])
 
 
 def missing_parts() -> list[str]:
     """Return the names of the parts that are not compiled since the last change of the sources."""
     newest = max(path.stat().st_mtime for path in _SOURCES)
-    marks = {part: _mark(part) for part in PARTS}
     return [
-        part for part, mark in marks.items()
-        if not (mark.exists() and mark.stat().st_mtime > newest)
+        part for part in PARTS
+        if not (_mark(part).exists() and _mark(part).stat().st_mtime > newest)
     ]
 
 

@@ -34,12 +34,8 @@ def check_cancelled(cancelled: Cancelled | None) -> None:
 
 
 def run_batches(
-    run: Callable[[NDArray[np.int64]], object],
-    indices: NDArray[np.int64],
-    *,
-    size: int,
-    threads: int | None,
-    cancelled: Cancelled | None = None,
+    run: Callable[[NDArray[np.int64]], object], indices: NDArray[np.int64], *, size: int,
+    threads: int | None, cancelled: Cancelled | None = None,
 ) -> None:
     """
     Call a function with batches of at most `size` indices, several at once.
@@ -56,12 +52,12 @@ def run_batches(
 
     starts = range(0, indices.size, size)
     workers = min(threads or usable_processors(), len(starts))
-    if workers <= 1:
+    if workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(run_batch, starts))  # raises the exceptions of the threads
+    else:
         for start in starts:
             run_batch(start)
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(run_batch, starts))  # raises the exceptions of the threads
 
 
 def usable_processors() -> int:

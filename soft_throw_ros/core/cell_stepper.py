@@ -3,43 +3,28 @@
 r"""
 Throws by cells of finite size: layers with loss, large strain or several sheets.
 
-Each sheet is cut into cells that its fastest wave crosses in one time step, or a little more,
-which is the longest step that is stable. At one step exactly, as in a linear layer of one
-material, the scheme has no dispersion. Sheets begin and end with a node; a sheet that is too thin
-or too stiff for one cell and an explicit step gets one that is implicit.
-
 Notes
 -----
 Eqs. (2)-(3) of [1]_, :math:`\rho u_{tt} = \sigma_y`, with the Kelvin-Voigt stress
 :math:`\sigma = E u_y + \eta u_{ty}`. Nodes are numbered from the plate up, and link j is between
 nodes j and j + 1. A link is a cell (a spring beside a dashpot and Maxwell elements, with half of
 its mass on each of its nodes) or, as the last one, the contact, whose two nodes move as one while
-it lasts. The last node is the projectile.
-Displacements u belong to whole steps, velocities v to half steps, so that semi-implicit Euler is
-of second order,
+it lasts. The last node is the projectile. All counts from the static equilibrium; the weight of
+the layer is left out as in [1]_. With displacements u at whole and velocities v at half steps,
 
 .. math::
 
     M a^n = -K (u^n + \beta h^2 a^n) - C \frac{v^{n+1/2} + v^{n-1/2}}{2}, \qquad
     v^{n+1/2} = v^{n-1/2} + h a^n, \qquad u^{n+1} = u^n + h v^{n+1/2}.
 
-:math:`\beta` is 0 but in cells that a wave crosses in less than a step h, where 1/4 (average
-acceleration) keeps the scheme stable. The implicit part is one tridiagonal system, factorised when
-the contact changes. All counts from the static equilibrium; the weight of the layer is left out as
-in [1]_.
+The step h is the time in which the fastest wave crosses a cell, or a little less, where there is
+no dispersion. :math:`\beta` is 1/4 (average acceleration) in a sheet that is crossed in less than
+a step, otherwise 0.
 
-The contact force is the inertia of the projectile, which leaves when the force falls below zero,
-at the root of the cubic through four steps. After that the nodes are free of each other, and of
-the weight. In the top cell a dashpot takes away the velocity that alternates from step to step
-after the release; in one cell it is a change of second order.
-
-The nodes meet again when the gap is closed at the end of a step; from there on they are where
-momentum puts them, at the common velocity. That is how two waves meet half a cell later, so that
-events after a landing are of second order, too, though a landing is a jump.
-
-The grid is up to one step ahead of the requested time, and the state is interpolated
-between its last two steps (third order). So with a measured plate it can go as far as the last
-whole step before the horizon.
+The projectile leaves when the contact force, its inertia and weight, falls below zero. Nodes meet
+when the gap is closed at the end of a step, and are put where momentum puts them, at the common
+velocity, so that later events are of second order, too; they are of first order in shocks. The
+grid is up to one step ahead of the requested time.
 
 References
 ----------
@@ -56,15 +41,9 @@ from typing import Any, NamedTuple
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core import stepper
+from soft_throw_ros.core import material, stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.material import (
-    LARGEST_STRAIN,
-    relaxation,
-    RELAXATION_RATES,
-    static_stretch,
-)
 from soft_throw_ros.core.plate_kernels import motion_at
 from soft_throw_ros.core.rig import Layer, Rig, scales_of, section_of, values_of
 from soft_throw_ros.core.stepper import Stepper
@@ -80,20 +59,14 @@ MAX_UPDATE_RATE = 6e7
 _UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
 
-_CELLS = 64
-"""Fewest cells of a layer that are chosen, for 1e-4. [-]"""
-
-_NEO_HOOKEAN_CELLS = 1.5
-"""Cells of a neo-Hookean layer over those of a linear one in `throw_batch`, for 2e-4. [-]"""
-
-_CELLS_PER_RELAXATION, _STEPS_PER_PERIOD = 12.0, 120.0
-"""Cells per relaxation time, over the crossing time, and steps per plate period for 1e-4. [-]"""
+_CELLS, _CELLS_PER_RELAXATION, _STEPS_PER_PERIOD = 64, 12.0, 120.0
+"""Cells, cells per relaxation over crossing time, and steps per plate period for 1e-4. [-]"""
 
 _MIN_CELLS_PER_RELAXATION, _MIN_STEPS_PER_PERIOD = 4.0, 80.0
 """The same for 1e-3, below which a rig is refused in real time. [-]"""
 
-_MAX_BATCH_CELLS = 2048
-"""Most cells that `throw_batch` chooses. [-]"""
+_NEO_HOOKEAN_CELLS, _MAX_BATCH_CELLS = 1.5, 2048
+"""Cells of a neo-Hookean layer over those of a linear one, and most cells, in a batch. [-]"""
 
 _SHOCK_SPEED = 1.055
 """Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
@@ -104,13 +77,13 @@ _ROUNDING = 1e-9
 _FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed [-]."""
 
-_AVERAGE_ACCELERATION = 0.25
-"""Newmark's parameter beta of cells that a wave crosses in less than a step. [-]"""
-
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
 
-_static_stretch = subroutine(static_stretch)
+_MIN_STRETCH = 1.0 - material.LARGEST_STRAIN
+"""Stretch ratio below which a neo-Hookean cell follows its tangent. [-]"""
+
+_static_stretch = subroutine(material.static_stretch)
 
 
 class Row(NamedTuple):
@@ -118,52 +91,50 @@ class Row(NamedTuple):
     Rows of the table of nodes and links, a column for each; the last link does not exist.
 
     Of two rows, one is for even and one for odd steps, or one for flight and one for contact; of
-    three, each is for a Maxwell element. The first eleven are constant in a sheet.
+    three, each is for a Maxwell element. The first ten are constant in a sheet.
     """
 
     stiffness: int = 0  # of a linear link [N/m]
     third_modulus: int = 1  # third of E S, of a neo-Hookean link [N]
-    min_stretch: int = 2  # smallest stretch ratio with the neo-Hookean law [-]
-    shock_viscosity: int = 3  # artificial, over a square of a velocity [N s2/m2]
-    maxwell_stiffness: int = 4  # of the Maxwell elements [N/m]
-    viscosity: int = 7  # of a link, in flight and in contact [N s/m]
-    implicit_stiffness: int = 9  # of a cell that is too fast for the step [kg]
-    inverse_length: int = 10  # of a cell, 0 for the contact [1/m]
-    mass: int = 11  # of a node [kg]
-    rest_height: int = 12  # of a node of the layer [m]
-    static_strain: int = 13  # compression of a cell at rest [-]
-    constant_tension: int = 14  # of a neo-Hookean link [N]
-    displacement: int = 15  # of a node, from rest [m]
-    velocity: int = 16  # of a node, half a step earlier [m/s]
-    mean_velocity: int = 17  # at the whole step, at even and odd steps [m/s]
-    tension: int = 19  # elastic tension of a link, from rest, at even and odd steps [N]
-    previous_stretch: int = 21  # of a link, a step ago [m]
-    maxwell_stretch: int = 22  # of the springs of the Maxwell elements [m]
-    elimination_factor: int = 25  # of a link: momentum that the upper node gets [-]
-    inverse_pivot: int = 26  # velocity over momentum of an eliminated node [1/kg]
-    momentum_factor: int = 27  # mass of a node if it is coupled, otherwise 1 [kg]
-    impulse_factor: int = 28  # half a step, over the mass if it is not coupled [s]
-    peak_strain: int = 29  # largest magnitude of the strain of a cell [-]
-    position: int = 30  # displacement at the requested time [m]
-    speed: int = 31  # velocity at the requested time [m/s]
-    force: int = 32  # force through a cell at the requested time, positive in compression [N]
+    shock_viscosity: int = 2  # artificial, over a square of a velocity [N s2/m2]
+    maxwell_stiffness: int = 3  # of the Maxwell elements [N/m]
+    viscosity: int = 6  # of a link, in flight and in contact [N s/m]
+    implicit_stiffness: int = 8  # of a cell that is too fast for the step [kg]
+    inverse_length: int = 9  # of a cell, 0 for the contact [1/m]
+    mass: int = 10  # of a node [kg]
+    rest_height: int = 11  # of a node of the layer [m]
+    static_strain: int = 12  # compression of a cell at rest [-]
+    constant_tension: int = 13  # of a neo-Hookean link [N]
+    displacement: int = 14  # of a node, from rest [m]
+    velocity: int = 15  # of a node, half a step earlier [m/s]
+    mean_velocity: int = 16  # at the whole step, at even and odd steps [m/s]
+    tension: int = 18  # elastic tension of a link, from rest, at even and odd steps [N]
+    previous_stretch: int = 20  # of a link, a step ago [m]
+    maxwell_stretch: int = 21  # of the springs of the Maxwell elements [m]
+    elimination_factor: int = 24  # of a link: momentum that the upper node gets [-]
+    inverse_pivot: int = 25  # velocity over momentum of an eliminated node [1/kg]
+    momentum_factor: int = 26  # mass of a node if it is coupled, otherwise 1 [kg]
+    impulse_factor: int = 27  # half a step, over the mass if it is not coupled [s]
+    peak_strain: int = 28  # largest magnitude of the strain of a cell [-]
+    position: int = 29  # displacement at the requested time [m]
+    speed: int = 30  # velocity at the requested time [m/s]
+    force: int = 31  # force through a cell at the requested time, positive in compression [N]
 
 
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-_ROW_COUNT = 33
+_ROW_COUNT = 32
 
 RECORD = np.dtype(
     [
         # constants
         ('step', 'f8'),  # [s]
-        ('rate', 'f8'),  # 2 / step [1/s]
         ('cells', 'i8'),  # number of cells, and of the link that is the contact
         ('has_maxwell', '?'),
+        ('has_implicit', '?'),  # whether a cell is too fast for the step
         ('fastest_shock', 'f8'),  # change of velocity in a cell at the largest viscosity [m/s]
         ('maxwell_rates', 'f8', (3,)),  # relaxation rates of the Maxwell elements [1/s]
-        ('maxwell_decay', 'f8', (3,)),  # share of the stretch that is left after a step
         ('maxwell_gain', 'f8', (3,)),  # share of a new stretch that an element takes
         ('mass', 'f8'),  # of the projectile [kg]
         ('gravity', 'f8'),  # [m/s2]
@@ -171,18 +142,16 @@ RECORD = np.dtype(
         ('edge_cells', 'i8', (2, 2)),  # those that extrapolate the strain to plate and top
         ('collision_node', 'i8'),  # lowest of the nodes that meet the projectile as one
         ('collision_mass', 'f8'),  # of these nodes [kg]
-        ('stiff', 'i8', (2,)),  # first and last cell that is too fast for the step
         *stepper.COMMON,
         ('plate_acceleration', 'f8'),  # [m/s2]
         # the state of the grid
         ('index', 'i8'),  # of the step
         ('fraction', 'f8'),  # of the step that has passed
         ('coupled', 'i8', (2,)),  # first and last node of the linear system, see `_factorise`
-        ('contact_forces', 'f8', (4,)),  # now, and at the three steps before [N]
-        ('known_forces', 'i8'),  # number of forces since the present contact began
         ('contact_before', 'f8', (2,)),  # displacements of the contact's nodes a step ago [m]
         # of the layer on plate and projectile: a step ago, before an event, and now [N]
         ('forces', 'f8', (2, 3)),
+        ('earlier_force', 'f8'),  # on the projectile, two steps ago [N]
         ('power', 'f8'),  # of the plate [W]
         ('work_before', 'f8'),  # of the plate, a step ago [J]
     ],
@@ -192,9 +161,9 @@ RECORD = np.dtype(
 
 
 @inlined
-def _neo_hookean_stress(ratio, min_stretch):
-    """Compute the stress of a stretch ratio over E / 3, linear below `min_stretch`."""
-    inverse = 1.0 / max(ratio, min_stretch)
+def _neo_hookean_stress(ratio):
+    """Compute the stress of a stretch ratio over E / 3."""
+    inverse = 1.0 / max(ratio, _MIN_STRETCH)
     share = ratio * inverse
     return ratio - inverse * inverse * (3.0 - (share + share))
 
@@ -203,13 +172,12 @@ def _neo_hookean_stress(ratio, min_stretch):
 def _cut(s, nodes, counts, sheets):
     """Cut sheets into cells, at rest under the weight of the projectile."""
     weight, tension = s.mass * s.gravity, 0.0
-    s.stiff[0], s.stiff[1] = nodes.shape[1], -1
     for n in range(counts.size):
         sheet, first = sheets[n], s.cells
         modulus, inverse = sheet[ROW.third_modulus], sheet[ROW.inverse_length]
         if modulus > 0.0:
             ratio = _static_stretch(weight / modulus)
-            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio, 0.0)
+            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio)
             s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
         else:
             strain = weight / sheet[ROW.stiffness] * inverse
@@ -222,10 +190,8 @@ def _cut(s, nodes, counts, sheets):
             nodes[ROW.static_strain, j] = nodes[ROW.peak_strain, j] = strain
             nodes[ROW.constant_tension, j] = tension
             nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + (1.0 - strain) / inverse
-        for element in range(3):
-            s.has_maxwell = s.has_maxwell or sheet[ROW.maxwell_stiffness + element] > 0.0
-        if sheet[ROW.implicit_stiffness] > 0.0:
-            s.stiff[0], s.stiff[1] = min(s.stiff[0], first), s.cells - 1
+        s.has_maxwell |= sheet[ROW.maxwell_stiffness:ROW.viscosity].max() > 0.0
+        s.has_implicit |= sheet[ROW.implicit_stiffness] > 0.0
     s.edge_cells[0, 1] = min(1, counts[0] - 1)
     s.edge_cells[1, 0], s.edge_cells[1, 1] = s.cells - 1, s.cells - min(2, counts[-1])
 
@@ -266,12 +232,7 @@ def _across(nodes, row, j):
 
 @inlined
 def _solve(s, nodes):
-    """
-    Compute the mean velocities w of all nodes above the plate.
-
-    They solve (M + B + C h / 2) w = (M + B) v + h / 2 times the force of the tensions, with the
-    matrix B of implicit cells, by Thomas's algorithm.
-    """
+    """Solve (M + B + C h / 2) w = (M + B) v + h f / 2 by Thomas's algorithm; B is implicit."""
     w, tension = ROW.mean_velocity + (s.index & 1), ROW.tension + (s.index & 1)
     first, end = s.coupled[0], s.coupled[1]
     for j in range(1, nodes.shape[1]):
@@ -280,11 +241,12 @@ def _solve(s, nodes):
         nodes[w, j] = start + nodes[ROW.impulse_factor, j] * force
     if end < first:
         return
-    for j in range(s.stiff[0], s.stiff[1] + 1):
-        momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
-        nodes[w, j + 1] += momentum
-        if j > 0:
-            nodes[w, j] -= momentum
+    if s.has_implicit:
+        for j in range(first - 1, end):
+            momentum = nodes[ROW.implicit_stiffness, j] * _across(nodes, ROW.velocity, j)
+            nodes[w, j + 1] += momentum
+            if j > 0:
+                nodes[w, j] -= momentum
     value = nodes[w, first - 1]
     for j in range(first, end + 1):
         value = nodes[w, j] = nodes[w, j] + nodes[ROW.elimination_factor, j - 1] * value
@@ -301,89 +263,67 @@ def _prepare(
 ) -> None:
     """Complete the third record but for the plate's motion, and cut the sheets."""
     s = core[2]
-    s.step, s.rate, s.mass, s.gravity = step, 2.0 / step, mass, gravity
+    s.step, s.mass, s.gravity = step, mass, gravity
     s.release_threshold = -_FORCE_NOISE * peak_force
     s.event_time = s.fastest_shock = math.inf
     s.contact = True
     for element in range(3):
-        s.maxwell_rates[element] = RELAXATION_RATES[element] * omega
-        half = 0.5 * step * s.maxwell_rates[element]
-        s.maxwell_decay[element] = (1.0 - half) / (1.0 + half)
-        s.maxwell_gain[element] = 1.0 / (1.0 + half)
+        s.maxwell_rates[element] = material.RELAXATION_RATES[element] * omega
+        s.maxwell_gain[element] = 1.0 / (1.0 + 0.5 * step * s.maxwell_rates[element])
     _cut(s, nodes, counts, sheets)
     top = s.collision_node = s.cells
     nodes[ROW.mass, top + 1] = mass
-    # A dashpot that takes half of the momentum of the top in half a step ends its alternation
-    nodes[ROW.viscosity, top - 1] += s.rate * nodes[ROW.mass, top]
-    # A jump of stress in a stiff cell is levelled out long before the step ends: nodes that only
-    # such cells part meet as one.
+    # In flight half of the top's momentum is lost in half a step, which ends its alternation
+    nodes[ROW.viscosity, top - 1] += 2.0 / step * nodes[ROW.mass, top]
+    # Nodes that only stiff cells part meet as one: a jump of stress there is levelled out at once
     while s.collision_node > 1 and nodes[ROW.implicit_stiffness, s.collision_node - 1] > 0.0:
         s.collision_node -= 1
     for j in range(s.collision_node, top + 1):
         s.collision_mass += nodes[ROW.mass, j]
     _factorise(s, nodes)
     s.rest_height = nodes[ROW.rest_height, top]
-    s.loads[2] = s.contact_forces[0] = mass * gravity
-    s.known_forces = 1
-    for k in range(3):
-        s.forces[0, k], s.forces[1, k] = -mass * gravity, mass * gravity
+    s.loads[2] = mass * gravity
+    s.forces[0, :], s.forces[1, :] = -mass * gravity, mass * gravity
 
 
 @inlined
 def _elastic_tension(s, nodes):
-    """Compute the elastic tension of all links."""
-    now = s.index & 1
+    """Compute the elastic tension of all links, and of an artificial viscosity against shocks."""
+    now, fastest = s.index & 1, -s.fastest_shock
     if nodes[ROW.third_modulus, 0] > 0.0:  # all sheets have one law
-        _neo_hookean_tension(s, nodes)
+        for j in range(nodes.shape[1] - 1):
+            stretch = nodes[ROW.inverse_length, j] * _across(nodes, ROW.displacement, j)
+            stress = _neo_hookean_stress(1.0 - nodes[ROW.static_strain, j] + stretch)
+            pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
+            closing = min(_across(nodes, ROW.velocity, j), 0.0)
+            shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
+            nodes[ROW.tension + now, j] = pull - shock
     else:
-        for j in range(nodes.shape[1] - 1):  # the material: elastic tension from stretch
+        for j in range(nodes.shape[1] - 1):  # E u_y, Eq. (2)
             stretch = _across(nodes, ROW.displacement, j)
-            nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch  # E u_y, Eq. (2)
+            nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch
     if s.has_maxwell:
         _update_maxwell(s, nodes)
 
 
 @inlined
-def _neo_hookean_tension(s, nodes):
-    """Compute the tension of linear and neo-Hookean links, and of their artificial viscosity."""
-    now, fastest = s.index & 1, -s.fastest_shock
-    for j in range(nodes.shape[1] - 1):
-        stretch = _across(nodes, ROW.displacement, j)
-        ratio = 1.0 - nodes[ROW.static_strain, j] + nodes[ROW.inverse_length, j] * stretch
-        stress = _neo_hookean_stress(ratio, nodes[ROW.min_stretch, j])
-        pull = nodes[ROW.constant_tension, j] + nodes[ROW.third_modulus, j] * stress
-        closing = min(_across(nodes, ROW.velocity, j), 0.0)
-        shock = nodes[ROW.shock_viscosity, j] * closing * max(closing, fastest)
-        nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch + pull - shock
-
-
-@inlined
 def _update_maxwell(s, nodes):
     """Add the tension of the Maxwell elements, by the trapezoidal rule."""
-    now = s.index & 1
-    decay_0, decay_1, decay_2 = s.maxwell_decay[0], s.maxwell_decay[1], s.maxwell_decay[2]
-    gain_0, gain_1, gain_2 = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
-    row, stiffness = ROW.maxwell_stretch, ROW.maxwell_stiffness
+    tension = ROW.tension + (s.index & 1)
+    gains = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
     for j in range(nodes.shape[1] - 1):
         stretch = _across(nodes, ROW.displacement, j)
         change = stretch - nodes[ROW.previous_stretch, j]
         nodes[ROW.previous_stretch, j] = stretch
-        first = decay_0 * nodes[row, j] + gain_0 * change
-        second = decay_1 * nodes[row + 1, j] + gain_1 * change
-        third = decay_2 * nodes[row + 2, j] + gain_2 * change
-        nodes[row, j], nodes[row + 1, j], nodes[row + 2, j] = first, second, third
-        tension = nodes[stiffness, j] * first
-        tension += nodes[stiffness + 1, j] * second + nodes[stiffness + 2, j] * third
-        nodes[ROW.tension + now, j] += tension
+        for element in range(3):
+            row, gain = ROW.maxwell_stretch + element, gains[element]
+            nodes[row, j] = (2.0 * gain - 1.0) * nodes[row, j] + gain * change
+            nodes[tension, j] += nodes[ROW.maxwell_stiffness + element, j] * nodes[row, j]
 
 
 @inlined
 def _link_tension(nodes, j, parity, case, rate):
-    """
-    Compute the tension of a link, viscous part included, at one of the last two steps.
-
-    `rate` is 2 / h at the last step, and -2 / h at the step before.
-    """
+    """Compute the tension of a link at the last step, or the one before, with a rate of -2 / h."""
     opening = _across(nodes, ROW.mean_velocity + parity, j)
     change = opening - nodes[ROW.velocity, j + 1] + nodes[ROW.velocity, j]
     viscous = nodes[ROW.viscosity + case, j] * opening  # eta u_ty, added to Eq. (2)
@@ -398,45 +338,30 @@ def _contact_forces(s, nodes):
     weight = s.mass * s.gravity
     s.forces[1, 2] = 0.0
     if s.contact:
-        for k in range(3, 0, -1):
-            s.contact_forces[k] = s.contact_forces[k - 1]
         change = nodes[ROW.mean_velocity + now, j] - nodes[ROW.velocity, j]
-        s.contact_forces[0] = s.forces[1, 2] = weight + s.mass * s.rate * change
-        s.known_forces += 1
+        s.forces[1, 2] = weight + s.mass * 2.0 / s.step * change
     inertia = nodes[ROW.mass, 0] * s.plate_acceleration
-    s.forces[0, 2] = _link_tension(nodes, 0, now, case, s.rate) - inertia - weight
+    s.forces[0, 2] = _link_tension(nodes, 0, now, case, 2.0 / s.step) - inertia - weight
 
 
-@subroutine
-def _first_root(a, b, c, d):
-    """Find the root of a + b x + c x^2 + d x^3 in a step, to the last bit."""
-    low, high = 0.0, 1.0
-    while True:
-        x = 0.5 * (low + high)
-        if not low < x < high:
-            return x
-        if a + x * (b + x * (c + x * d)) < 0.0:
-            high = x
-        else:
-            low = x
+@inlined
+def _first_root(a, b, c):
+    """Find the root between 0 and 1 of a + b x + c x^2, which is negative at 1."""
+    root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
+    return 2.0 * max(a, 0.0) / (root - b) if b < 0.0 else -0.5 * (root + b) / c
 
 
 @subroutine
 def _handle_release(s, nodes, events):
     """Release the projectile at the root of the force, which is below zero now."""
-    forces = s.contact_forces
-    after, before, earlier, first = forces[0], forces[1], forces[2], forces[3]
-    if s.known_forces < 4:  # so short after a landing it is a line
-        earlier, first = 2.0 * before - after, 3.0 * before - 2.0 * after
-    third = (after - first + 3.0 * (earlier - before)) / 6.0
-    second = 0.5 * (earlier + after) - before
-    slope = after - before - second - third
-    t = _first_root(before, slope, second, third)
+    earlier, before, after = s.earlier_force, s.forces[1, 0], s.forces[1, 2]
+    bend = 0.5 * (earlier + after) - before if earlier > 0.0 else 0.0  # just landed: a line
+    slope = after - before - bend
+    t = _first_root(before, slope, bend)
     # Impulse of the force less the weight from half of the step on; the mean velocity of the step
     # is that at its middle and a 24th of its curvature
-    impulse = (before - s.mass * s.gravity) * (t - 0.5) + slope * (t**2 - 0.25) / 2.0
-    impulse += second * (t**3 - 0.125) / 3.0 + third * (t**4 - 0.0625) / 4.0
-    impulse -= (after - before) / 24.0
+    impulse = (before - s.mass * s.gravity) * (t - 0.5) - (after - before) / 24.0
+    impulse += slope * (t**2 - 0.25) / 2.0 + bend * (t**3 - 0.125) / 3.0
     velocity = nodes[ROW.velocity, s.cells + 1] + s.step * impulse / s.mass
     height, _ = _motion(s, nodes, s.cells + 1, t)
     stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
@@ -451,7 +376,7 @@ def _handle_landing(s, nodes, events):
     before = nodes[ROW.mean_velocity + 1 - (s.index & 1)]
     gap, closed = s.contact_before[1] - s.contact_before[0], u[j + 1] - u[j]
     bend = s.step * (v[j + 1] - v[j] - (before[j + 1] - before[j]))
-    t = _first_root(gap, closed - gap - bend, bend, 0.0)
+    t = _first_root(gap, closed - gap - bend, bend)
     speed, change = v[projectile_node], v[projectile_node] - before[projectile_node]
     height = u[projectile_node] - s.step * (1.0 - t) * (speed + t * change)
     velocity = speed - s.gravity * s.step * (t - 0.5)
@@ -462,7 +387,6 @@ def _handle_landing(s, nodes, events):
         v[k] -= (1.0 - below_share) * approach
     u[projectile_node] += below_share * overlap
     v[projectile_node] += below_share * approach
-    s.known_forces = 0
     stepper.note_event(s, events, (s.index - 1 + t) * s.step, height, velocity)
     _factorise(s, nodes)
 
@@ -481,6 +405,7 @@ def _march(s, nodes, path, events, goal):
             nodes[ROW.displacement, j] += step * velocity  # u^{n+1} = u^n + h v^{n+1/2}
         s.index += 1
         s.event_time = math.inf
+        s.earlier_force = s.forces[1, 0]
         for end in range(2):
             s.forces[end, 0] = s.forces[end, 1] = s.forces[end, 2]
         s.work_before = s.work
@@ -499,7 +424,7 @@ def _march(s, nodes, path, events, goal):
             if s.event_time < math.inf:
                 break
             s.forces[0, 1], s.forces[1, 1] = s.forces[0, 2], s.forces[1, 2]
-            if not (s.contact and s.contact_forces[0] < s.release_threshold):
+            if not s.forces[1, 2] < s.release_threshold:
                 break
             _handle_release(s, nodes, events)  # and compute the step again, in flight
         if s.events == 0:
@@ -602,8 +527,8 @@ def _move_nodes(s, nodes):
     nodes[ROW.speed, 0] = s.state[stepper.PLATE_VELOCITY]
     case, weight = 1 if s.contact else 0, s.mass * s.gravity
     for j in range(nodes.shape[1] - 1):
-        earlier = _link_tension(nodes, j, 1 - now, case, -s.rate)
-        later = _link_tension(nodes, j, now, case, s.rate)
+        earlier = _link_tension(nodes, j, 1 - now, case, -2.0 / s.step)
+        later = _link_tension(nodes, j, now, case, 2.0 / s.step)
         nodes[ROW.force, j] = weight - earlier - fraction * (later - earlier)
 
 
@@ -612,24 +537,21 @@ def _read_layer(core, nodes, points, out):
     """Read heights, velocities, forces and strains of the layer from plate to top."""
     s = core[1]
     _move_nodes(s, nodes)
-    one = np.uintp(1)  # any other index is looked at whether it counts from the end
     for n in range(points.shape[1]):
-        j, k = np.uintp(points[0, n]), np.uintp(points[1, n])
-        fraction, weight = points[2, n], points[3, n]
-        below = nodes[ROW.rest_height, j] + nodes[ROW.position, j]
-        above = nodes[ROW.rest_height, j + one] + nodes[ROW.position, j + one]
-        below_speed, above_speed = nodes[ROW.speed, j], nodes[ROW.speed, j + one]
-        out[0, n] = below + fraction * (above - below)
-        out[1, n] = below_speed + fraction * (above_speed - below_speed)
-        out[2, n] = nodes[ROW.force, j] + weight * (nodes[ROW.force, k] - nodes[ROW.force, j])
-        strain = _strain_of(nodes, ROW.position, int(j))
-        out[3, n] = strain + weight * (_strain_of(nodes, ROW.position, int(k)) - strain)
+        j, low, high = int(points[0, n]), int(points[1, n]), int(points[2, n])
+        fraction, weight = points[3, n], points[4, n]
+        length = _across(nodes, ROW.rest_height, j) + _across(nodes, ROW.position, j)
+        out[0, n] = nodes[ROW.rest_height, j] + nodes[ROW.position, j] + fraction * length
+        out[1, n] = nodes[ROW.speed, j] + fraction * _across(nodes, ROW.speed, j)
+        force, strain = nodes[ROW.force, low], _strain_of(nodes, ROW.position, low)
+        out[2, n] = force + weight * (nodes[ROW.force, high] - force)
+        out[3, n] = strain + weight * (_strain_of(nodes, ROW.position, high) - strain)
 
 
 @subroutine
-def _elastic_energy(ratio, min_stretch):
+def _elastic_energy(ratio):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
-    x = max(ratio, min_stretch)
+    x = max(ratio, _MIN_STRETCH)
     beyond, slope = ratio - x, 1.0 + 2.0 / x**3
     return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
 
@@ -640,17 +562,16 @@ def _stored_energy(core: Any, nodes: Any) -> float:
     s = core[1]
     _move_nodes(s, nodes)
     position, speed = nodes[ROW.position], nodes[ROW.speed]
-    weight = s.mass * s.gravity
     total = 0.5 * nodes[ROW.mass, 0] * speed[0] ** 2
-    total += weight * (position[0] + position[s.cells + 1] - position[s.cells])
+    total += s.mass * s.gravity * (position[0] + position[s.cells + 1] - position[s.cells])
     remainder = (1.0 - s.fraction) * s.step
     for j in range(position.size - 1):
         stretch = position[j + 1] - position[j]
         total += 0.5 * nodes[ROW.stiffness, j] * stretch**2
         if nodes[ROW.third_modulus, j] > 0.0:
-            start, min_stretch = 1.0 - nodes[ROW.static_strain, j], nodes[ROW.min_stretch, j]
-            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j], min_stretch)
-            elastic -= _elastic_energy(start, min_stretch)
+            start = 1.0 - nodes[ROW.static_strain, j]
+            elastic = _elastic_energy(start + stretch * nodes[ROW.inverse_length, j])
+            elastic -= _elastic_energy(start)
             total += nodes[ROW.third_modulus, j] / nodes[ROW.inverse_length, j] * elastic
             total += nodes[ROW.constant_tension, j] * stretch
         for element in range(3):  # which go on by their last rate
@@ -669,76 +590,63 @@ _read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS, _ROWS)
 
 def _reading_points(counts: NDArray[np.int64], lengths: Floats, number: int) -> Floats:
     """
-    Return some even heights from plate to top, for sheets of some cells of some lengths.
+    Return even heights from plate to top, for sheets of some cells of some lengths.
 
-    The rows are the cell at the height, its neighbour (the cell itself if its sheet has no other
-    one), the fraction of the cell below the height, and the weight of the neighbour for quantities
-    in the middle of cells.
+    The rows are the cell at the height, the two cells of its sheet (or twice the only one) whose
+    middles give forces and strains, the fraction of the first cell, and the weight of the last.
     """
-    sheets = np.repeat(np.arange(counts.size), counts)
-    lengths = lengths[sheets]
-    bounds = np.append(0.0, np.cumsum(lengths))
+    bounds = np.append(0.0, np.cumsum(counts * lengths))
     heights = np.linspace(0.0, bounds[-1], number)
-    cell = np.minimum(np.searchsorted(bounds, heights, side='right'), sheets.size) - 1
-    fraction = (heights - bounds[cell]) / lengths[cell]
-    # The nearer neighbour, or at the end of a sheet the other one, which extrapolates
-    nearer = np.where(fraction > 0.5, 1, -1)
-    sheets_around = np.pad(sheets, 1, constant_values=-1)
-    neighbour = cell
-    for other in (cell - nearer, cell + nearer):
-        neighbour = np.where(sheets_around[other + 1] == sheets[cell], other, neighbour)
-    return np.array([cell, neighbour, fraction, (fraction - 0.5) * (neighbour - cell)])
-
-
-def _arrays_of(rig: Rig) -> dict[str, Floats]:
-    return {name: np.array([value]) for name, value in values_of(rig).items()}
+    sheet = np.minimum(np.searchsorted(bounds, heights, side='right'), counts.size) - 1
+    position = (heights - bounds[sheet]) / lengths[sheet]  # in cells
+    first, last = np.cumsum(counts)[sheet] - counts[sheet], counts[sheet] - 1
+    cell = np.minimum(position.astype(np.int64), last)
+    low = np.clip((position - 0.5).astype(np.int64), 0, np.maximum(last - 1, 0))
+    cells = first + np.array([cell, low, np.minimum(low + 1, last)])
+    return np.array([*cells, position - cell, position - 0.5 - low])
 
 
 def _cut_layers(
-    values: Mapping[str, Floats], layer: Layer, cells: Any
+    values: Mapping[str, Any], layer: Layer, cells: Any
 ) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
     """
-    Cut layers into about so many cells, at least 1 per sheet.
+    Cut layers of some `rig.values_of`, or arrays of them, into about so many cells.
 
-    The arrays `values` of shape (n,) are as of `rig.values_of`; the sheets of `layer` have the
-    proportions of all layers. The results are, for each layer, the time step [s], and for each of
-    its sheets the number of cells, the length of a cell [m], and the values of a cell in the table
-    of nodes, up to `Row.mass`.
+    `layer` has the proportions of all. The results are, for each layer, the time step [s], and for
+    its sheets the number of cells, the length of a cell [m], and the rows up to `Row.mass`.
     """
     shares = np.array([
-        (
-            sheet.thickness / layer.thickness, sheet.mass / layer.mass,
-            sheet.crossing_time / layer.crossing_time,
-            sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0,
-        )
+        (sheet.thickness / layer.thickness, sheet.mass / layer.mass,
+         sheet.crossing_time / layer.crossing_time,
+         sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0)
         for sheet in layer.sheets
     ]).T
     scales, whole = scales_of(values), values['thickness']
     whole_mass = values['density'] * section_of(values['diameter']) * whole
-    wholes = np.stack([whole, whole_mass, scales.crossing_time, values['loss_tangent']])
-    thickness, mass, crossing, losses = wholes[:, :, None] * shares[:, None]
+    wholes = whole, whole_mass, scales.crossing_time, values['loss_tangent']
+    thickness, mass, crossing, losses = np.reshape(wholes, (4, -1, 1)) * shares[:, None]
     stiffness, none = mass / crossing**2, np.zeros_like(mass)
     relaxed, maxwell, lag = none + 1.0, np.zeros((3, *none.shape)), none
     if layer.loss == 'constant':
-        fits = [relaxation(loss) for loss in losses.ravel().tolist()]
+        fits = [material.relaxation(loss) for loss in losses.ravel().tolist()]
         relaxed = np.array([fit.relaxed for fit in fits]).reshape(none.shape)
         maxwell = np.array([fit.strengths for fit in fits]).T.reshape(maxwell.shape)
     else:
-        lag = losses / scales.angular_frequency[:, None]
+        lag = losses / np.reshape(scales.angular_frequency, (-1, 1))
     is_curved = layer.stress_strain_law == 'neo_hookean'
-    min_stretch = 1.0 - LARGEST_STRAIN * is_curved
     # The fastest wave is that of the largest stiffness of any state
-    tangent = relaxed * (1.0 + 2.0 / min_stretch**3) / 3.0 + maxwell.sum(axis=0)
+    steepest = (1.0 + 2.0 / _MIN_STRETCH**3) / 3.0 if is_curved else 1.0
+    tangent = relaxed * steepest + maxwell.sum(axis=0)
     crossing = crossing / (np.sqrt(tangent) * (_SHOCK_SPEED if is_curved else 1.0))
     steps = crossing.sum(axis=1, keepdims=True) / np.reshape(cells, (-1, 1))
-    counts = np.maximum(1, (crossing / steps * (1.0 + _ROUNDING)).astype(np.int64))
+    crossed = crossing / steps * (1.0 + _ROUNDING)
+    counts = np.maximum(1, crossed.astype(np.int64))
     mass, spring, inverse = mass / counts, stiffness * counts, counts / thickness
-    tangent = tangent * spring
-    is_fast = np.sqrt(mass / tangent) * (1.0 + _ROUNDING) < steps
-    implicit = np.where(is_fast, _AVERAGE_ACCELERATION * steps * steps * tangent, 0.0)
-    law = relaxed * spring, none, none, none
+    # Newmark's parameter is 1/4 (average acceleration) where a wave is faster than the step
+    implicit = np.where(crossed < 1.0, 0.25 * steps * steps * tangent * spring, 0.0)
+    law = relaxed * spring, none, none
     if is_curved:  # with the viscosity of von Neumann and Richtmyer
-        law = none, relaxed * spring / inverse / 3.0, none + min_stretch, mass * inverse
+        law = none, relaxed * spring / inverse / 3.0, mass * inverse
     viscosity = lag * spring
     rows = *law, *(maxwell * spring), viscosity, viscosity, implicit, inverse, mass
     return steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1)
@@ -750,18 +658,9 @@ def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
     return np.ceil(np.maximum(needed, _CELLS))
 
 
-def cells_per_layer(rig: Rig) -> int:
-    """
-    Choose the number of cells in real time, for errors of 1e-4 or what there is time for.
-
-    ValueError, with a feasible value, if `MAX_CELLS` or `MAX_UPDATE_RATE` are too few for 1e-3.
-
-    >>> cells_per_layer(Rig())
-    64
-
-    """
-    # Of updates, over the square of the cells
-    rate = 1.0 / float(_cut_layers(_arrays_of(rig), rig.layer, 1)[0][0])
+def _cells_in_real_time(rig: Rig) -> int:
+    """Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3."""
+    rate = 1.0 / float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])  # with one cell
     updates, unit = _CELLS**2 * rate, 'cell updates per second'
     stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
     limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
@@ -773,15 +672,13 @@ def cells_per_layer(rig: Rig) -> int:
 
 
 def throw_batch(
-    values: Mapping[str, Floats], layer: Layer, *, cells: int | None = None,
-    cancelled: Cancelled | None = None,
+    values: Mapping[str, Floats], layer: Layer, *, cells: int | None, cancelled: Cancelled | None
 ) -> Floats:
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    Arguments are as of `_cut_layers`, the result is that of `stepper.follow_batch`. The number of
-    cells, 8 to `MAX_CELLS`, is chosen for each throw by default, for errors of 1e-4. Errors are of
-    second order, but of first order in shocks.
+    Arguments are as of `_cut_layers`, with 8 to `MAX_CELLS` cells, or by default so many as errors
+    of 1e-4 need; the result is that of `stepper.follow_batch`.
     """
     if cells is not None:
         stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
@@ -810,27 +707,17 @@ class CellStepper(Stepper):
 
     `stored_energy` is that of now, at any time. Arguments are as for `throw.make_stepper`; the
     layer has about so many cells, from 1 to `MAX_CELLS`.
-
-    >>> from soft_throw_ros.core.rig import Layer
-    >>> stepper = CellStepper(Rig(layer=Layer(loss_tangent=0.05)))
-    >>> stepper.advance_to(0.010)
-    1
-    >>> [release] = stepper.events()
-    >>> f'{release.kind} after {1e3 * release.time:.3f} ms with {release.velocity:.3f} m/s'
-    'release after 7.336 ms with 1.301 m/s'
-
     """
 
     def __init__(
         self, rig: Rig, *, is_measured: bool = False, cells: int | None = None,
         field_points: int = 64,
     ) -> None:
-        cells = cells_per_layer(rig) if cells is None else cells
+        cells = _cells_in_real_time(rig) if cells is None else cells
         stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
-        (step,), (counts,), (lengths,), (sheets,) = _cut_layers(_arrays_of(rig), rig.layer, cells)
-        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, int(counts.sum()) + 2))
-        self.step = float(step)
-        self.cost = _UPDATE_COST * nodes.shape[1] / self.step
+        (step,), (counts,), (lengths,), (sheets,) = _cut_layers(values_of(rig), rig.layer, cells)
+        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, counts.sum() + 2))
+        self.step, self.cost = float(step), _UPDATE_COST * nodes.shape[1] / step
         _prepare(
             core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,
             rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
@@ -855,4 +742,4 @@ class CellStepper(Stepper):
 def warm_up() -> None:
     """Compile or load all kernels."""
     stepper.load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
-    throw_batch(_arrays_of(Rig()), Layer(), cells=8)
+    CellStepper(Rig(), field_points=2)  # with the engine's motion

@@ -45,10 +45,8 @@ LOSSES = ('kelvin_voigt', 'constant')
 
 LARGEST_STRAIN = 0.5
 """
-Largest compression at which a neo-Hookean layer follows its law. [-]
-
-Beyond this compression the stress continues along the tangent, which bounds the wave speed and
-therefore the time step. No design compresses a layer further.
+Largest compression at which a neo-Hookean layer follows its law; beyond it the stress continues
+along the tangent, which bounds the wave speed and the time step. [-]
 """
 
 LARGEST_CONSTANT_LOSS = 0.8
@@ -74,18 +72,7 @@ class Relaxation(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def relaxation(loss_tangent: float) -> Relaxation:
-    """
-    Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`.
-
-    Examples
-    --------
-    A gel is softer when it is squeezed slowly, and stiffer when it is hit:
-
-    >>> gel = relaxation(0.1)
-    >>> round(gel.relaxed, 3), round(gel.relaxed + sum(gel.strengths), 3)
-    (0.821, 1.336)
-
-    """
+    """Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`."""
     if loss_tangent == 0.0:
         return Relaxation()
     from scipy.optimize import nnls  # which takes long to import, and few layers need

@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The common contract of steppers: models of one throw that go forward in time, tick by tick.
-
-`soft_throw_ros.core.wave_stepper` follows travelling waves, `soft_throw_ros.core.cell_stepper`
-cells of finite size. An offline result is the same kernel, run to the end of the throw.
-"""
+"""Steppers: models of one throw that go forward in time, by waves or by cells."""
 
 from __future__ import annotations
 
@@ -18,17 +13,9 @@ from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.core import plate_kernels
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.plate_kernels import (
-    append_states,
-    extrapolate,
-    MAX_PIECES_AHEAD,
-    NO_PATH,
-    PLATE,
-    write_damped,
-    write_motion,
-)
 from soft_throw_ros.core.rig import Rig, scales_of
 
 Floats = NDArray[np.float64]
@@ -43,7 +30,6 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 
 _EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
-_NO_TIMES, _NO_STATES = np.empty(0), np.empty((0, 3))
 
 MAX_EVENTS = 4096
 """Most events of one throw."""
@@ -52,7 +38,7 @@ _SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
 
 COMMON = [
-    *PLATE,
+    *plate_kernels.PLATE,
     ('contact', '?'),
     ('landed', '?'),
     ('events', 'i8'),
@@ -70,28 +56,22 @@ BAD_TIME, BEYOND_HORIZON, TOO_MANY_EVENTS = -1, -2, -3
 """Error codes that a kernel returns instead of the number of events."""
 
 
-class HorizonError(ValueError):
-    """A time beyond the known motion of the plate."""
-
-
 class EventLimitError(ThrowUnresolvedError):
     """More than `MAX_EVENTS` events in one throw."""
 
 
 class Event(NamedTuple):
-    """A release, re-contact or landing of the projectile."""
-
-    kind: EventKind
     """
+    A release, re-contact or landing of the projectile.
+
     A re-contact is when the layer catches up with a projectile that has not fallen back yet; a
     landing is when it has come down under gravity, and every contact after that.
     """
-    time: float
-    """Since the start. [s]"""
-    position: float
-    """Height of the projectile's lower face above the plate's rest position. [m]"""
-    velocity: float
-    """Velocity of the projectile, the same before and after the event. [m/s]"""
+
+    kind: EventKind
+    time: float  # since the start [s]
+    position: float  # of the projectile's lower face above the plate's rest position [m]
+    velocity: float  # of the projectile, the same before and after the event [m/s]
 
 
 class Loads(NamedTuple):
@@ -118,11 +98,8 @@ class Stepper:
     from plate to top.
 
     The results at a time depend on this time alone, to the last bit: not on the times of earlier
-    requests, nor (given the states of a measured plate) on the size of the appended pieces.
-    Nothing is allocated after construction, except for `events`, and no kernel holds Python's
-    lock.
-
-    A stepper has three records: at a step of its grid, at the time asked for, and at rest.
+    requests, nor on the size of the appended pieces of a measured plate. Nothing is allocated
+    after construction, except for `events`, and no kernel holds Python's lock.
     """
 
     cost: float
@@ -133,17 +110,13 @@ class Stepper:
         kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: Floats,
         is_measured: bool, field_points: int,
     ) -> None:
-        """
-        Take over the state at rest: a layer, and the third of three records but for the plate.
-
-        One kernel advances and the other one, with the arguments `reading`, reads the layer.
-        """
+        """Take over a layer and the third of three records (grid, now, at rest) without plate."""
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._kernels, self._reading = kernels, reading
         self._layer_at_rest = layer
         self._events = np.zeros((MAX_EVENTS, 4))  # rows of kind, time, position, velocity
-        self._path = write_motion(core, rig.engine, is_measured=is_measured)
+        self._path = plate_kernels.write_motion(core, rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
         self._bind(core, layer.copy())
         self.reset()
@@ -171,13 +144,13 @@ class Stepper:
         """
         Go forward to a time, bring `state` there, and return the number of events until then.
 
-        ValueError if the time [s] is not finite or decreases from call to call; HorizonError if
-        the plate is not known that far ahead, and nothing has changed; EventLimitError if there
-        were too many events on the way, and only `reset` helps.
+        ValueError if the time [s] is not finite, decreases from call to call, or is beyond the
+        known motion of the plate, and nothing has changed; EventLimitError if there were too many
+        events on the way, and only `reset` helps.
         """
         count: int = self._advance(time)
         if count == BEYOND_HORIZON:
-            raise HorizonError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
+            raise ValueError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
         if count == TOO_MANY_EVENTS:
             raise EventLimitError(f'more than {MAX_EVENTS} events before {time:g} s')
         if count == BAD_TIME:
@@ -193,8 +166,7 @@ class Stepper:
         """
         Go forward until the first release, and return it, or None if there is none by `latest`.
 
-        SearchCancelledError if `cancelled` returns True, which is called after each quarter of the
-        projectile's own period.
+        `cancelled` is called after each quarter of the projectile's own period.
         """
         step = 0.25 * (1.0 / self.rig.natural_frequency + self.rig.crossing_time)
         time = float(self.state[TIME])
@@ -210,10 +182,9 @@ class Stepper:
         Append states of a measured plate in real time; quintics join the states.
 
         A row of the states, of shape (n, 3), is height [m], velocity [m/s] and acceleration
-        [m/s2]; times [s] increase, from call to call too. The plate is at rest before the first
-        state, and known up to the last one. ValueError, and none is taken, if the stepper was not
-        made with `is_measured`, or states are not finite, not increasing, at negative times, or
-        more than `plate_kernels.MAX_PIECES_AHEAD` ahead.
+        [m/s2]. The plate is at rest before the first state, and known up to the last one.
+        ValueError, and none is taken, if the stepper was not made with `is_measured`, states are
+        not finite, or times [s] are negative, do not increase, or are too many.
         """
         if not self._is_measured:
             raise ValueError('append_plate_states needs a stepper made with is_measured')
@@ -222,19 +193,18 @@ class Stepper:
         if not times.size:
             return
         known = [float(self._core[0]['last'][0]), *times.tolist()]
-        is_ordered = all(before < time < math.inf for before, time in pairwise(known))
-        is_finite = all(map(math.isfinite, states.ravel().tolist()))
-        is_allowed = is_ordered and is_finite and known[1] >= 0.0
+        is_allowed = all(before < time < math.inf for before, time in pairwise(known))
+        is_allowed &= all(map(math.isfinite, states.ravel().tolist())) and known[1] >= 0.0
         if not is_allowed or states.shape != (times.size, 3):
             raise ValueError(
                 f'states must be three finite numbers each, at times from 0 on that increase '
                 f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
-        if ahead > MAX_PIECES_AHEAD:
+        if ahead > plate_kernels.MAX_PIECES_AHEAD:
             raise ValueError(
-                f'states must not be more than {MAX_PIECES_AHEAD} ahead of advance_to, '
-                f'got {times.size} which makes {ahead}'
+                f'states must not be more than {plate_kernels.MAX_PIECES_AHEAD} ahead of '
+                f'advance_to, got {times.size} which makes {ahead}'
             )
         self._append(times, states)
         self._core['piece_end'][0] = -math.inf  # the present piece may end now
@@ -242,40 +212,34 @@ class Stepper:
 
     def _append(self, times: Floats, states: Floats) -> None:
         record = self._core[0]
-        record['pieces'] = append_states(
+        record['pieces'] = plate_kernels.append_states(
             record['last'], int(record['pieces']), self._path, times, states
         )
 
     def fork(self) -> Stepper:
         """
-        Make a stepper that can go ahead of this one, see `sync_from`.
+        Make a stepper that can go ahead of this one, which has a measured plate, see `sync_from`.
 
-        They share the plate and the memory for events: `events` of the fork are right until this
-        stepper goes on. ValueError if this one was not made with `is_measured`.
+        They share the memory for events: those of the fork are right until this one goes on.
         """
-        if not self._is_measured:
-            raise ValueError('fork needs a stepper made with is_measured')
         other = copy.copy(self)
         other._bind(self._core.copy(), self._layer.copy())
         other._is_measured = False
         return other
 
-    def sync_from(
-        self, origin: Stepper, times: Floats = _NO_TIMES, states: Floats = _NO_STATES
-    ) -> None:
+    def sync_from(self, origin: Stepper, times: Floats, states: Floats) -> None:
         """
         Copy the state of `origin`, the stepper that this fork runs ahead of.
 
-        Beyond its horizon the plate passes the given states, see `append_plate_states`, unchecked.
-        Beyond the last one it keeps its acceleration. The extrapolated motion reaches the
-        projectile only after a crossing of the wave; until then the motion of the projectile is
-        exact. Internal loss acts without delay: a loss tangent of 0.05 makes the velocity
-        uncertain by 2e-3 of its scale at the end of this crossing.
+        Beyond its horizon the plate passes the given states, see `append_plate_states`, unchecked,
+        and beyond the last one it keeps its acceleration. This reaches the projectile only after a
+        crossing of the wave, except for internal loss, which acts without delay: a loss tangent of
+        0.05 makes the velocity uncertain by 2e-3 of its scale at the end of the crossing.
         """
         self._numbers[:] = origin._numbers
         self._layer[:] = origin._layer
         self._append(times, states)
-        extrapolate(self._core, self._path)
+        plate_kernels.extrapolate(self._core, self._path)
 
     def read_layer(self) -> Floats:
         """
@@ -311,16 +275,6 @@ class Stepper:
         ]
 
     @property
-    def rest_position(self) -> float:
-        """Height of the projectile's lower face at rest [m]."""
-        return float(self._core['rest_height'][1])
-
-    @property
-    def surface_position(self) -> float:
-        """Height of the top of the layer; in contact that of the projectile's lower face [m]."""
-        return float(self._core['rest_height'][1] + self._core['surface'][1])
-
-    @property
     def loads(self) -> Loads:
         """Largest loads up to the first release, or up to now before the release."""
         return Loads(*self._core['loads'][1].tolist())
@@ -344,8 +298,8 @@ def follow_batch(
     Follow throws to their first releases, or up to some latest times [s], without steppers.
 
     `prepare` completes the third record of a throw by its number, and returns its layer and its
-    cost, see `Stepper.cost`. The result has a row each for time (NaN without a release),
-    speed, largest strain, acceleration and plate force, and work of the plate.
+    cost, see `Stepper.cost`. The result has the rows time (NaN without a release), speed, largest
+    strain, acceleration and plate force, and work of the plate.
     """
     amplitude, zeta = values['amplitude'], values['damping_ratio']
     omega = scales_of(values).angular_frequency
@@ -354,13 +308,13 @@ def follow_batch(
     rows = np.empty((6, latest.size))
     for n in range(latest.size):
         numbers[:] = 0.0
-        write_damped(core, amplitude[n], omega[n], zeta[n])
+        plate_kernels.write_damped(core, amplitude[n], omega[n], zeta[n])
         layer, cost = prepare(core, n)
         looks = 1 + int(cost * latest[n] / _SLICE)
         numbers[:2] = numbers[2]
         for look in range(1, looks + 1):
             check_cancelled(cancelled)
-            if advance(core, layer, NO_PATH, no_events, latest[n] * (look / looks)):
+            if advance(core, layer, plate_kernels.NO_PATH, no_events, latest[n] * (look / looks)):
                 break
         now = core[1]
         time = now['event_time'] if now['events'] else math.nan
@@ -392,12 +346,8 @@ def steps_until(s: Record, step: float, time: float) -> int:
     """Return the number of whole steps until a time, or an error code."""
     if not s.state[TIME] <= time < 4e15 * step:
         return BAD_TIME
-    steps = int(time / step)
-    while steps * step > time:
-        steps -= 1
-    while (steps + 1) * step <= time:
-        steps += 1
-    return steps
+    steps = int(time / step)  # to one step
+    return steps + int((steps + 1) * step <= time) - int(steps * step > time)
 
 
 def load_kernels(stepper: Stepper) -> None:
@@ -405,7 +355,7 @@ def load_kernels(stepper: Stepper) -> None:
     stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
     stepper.advance_to(stepper.horizon / 1024.0)
     stepper.read_layer()
-    stepper.fork().sync_from(stepper)
+    stepper.fork().sync_from(stepper, np.empty(0), np.empty((0, 3)))
     stepper.stored_energy()
 
 
@@ -420,14 +370,14 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
 
 def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str) -> None:
     """Refuse a rig that needs more than the limit, with a feasible value of a parameter."""
-    value, dimension, margin, bound = {
-        'layer.thickness': (rig.layer.thickness, 'm', 1.001, 'more'),
-        'projectile.mass': (rig.projectile.mass, 'kg', 1.001, 'more'),
-        'engine.frequency': (rig.engine.frequency, 'Hz', 0.999, 'less'),
+    value, dimension, bound = {
+        'layer.thickness': (rig.layer.thickness, 'm', 'more'),
+        'projectile.mass': (rig.projectile.mass, 'kg', 'more'),
+        'engine.frequency': (rig.engine.frequency, 'Hz', 'less'),
     }[name]
-    factor = needed / limit
-    if factor > 1.0:
-        feasible = margin * value * (factor if bound == 'more' else 1.0 / factor)
+    if needed > limit:
+        factor = 1.001 * needed / limit
+        feasible = value * factor if bound == 'more' else value / factor
         raise ThrowUnresolvedError(
             f'{name} {value:g} {dimension} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
             f'{needed:.3g} {unit}, the limit is {limit:g}; '

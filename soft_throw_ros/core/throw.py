@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 import math
 from typing import Any, NamedTuple, TypeAlias
@@ -15,44 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, run_batches, ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
-from soft_throw_ros.core.rig import Engine, Layer, RANGES, Rig, scales_of, values_of
+from soft_throw_ros.core.rig import RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 
 Floats = NDArray[np.float64]
 
-_LONGEST = 60.0
-"""Longest that a throw is followed if nothing else ends it. [s]"""
-
-_BUDGET = 0.5
-"""Time of a processor after which a throw ends that `until` does not end. [s]"""
+_LONGEST, _BUDGET = 60.0, 0.5
+"""Times of a rig and of a processor after which a throw ends that `until` does not end. [s]"""
 
 _QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
 """Crossings plus periods after a release that show how far up the free top swings."""
 
-_LOSSLESS_CELLS, _MAX_CELLS = 256, 2048
-"""Cells of a lossless layer between which the step is halved; fewer miss short releases. [-]"""
-
-_HALVING = 1e-4
-"""Largest relative change of time and speed at which halving the step ends. [-]"""
-
-
-class Trajectory(NamedTuple):
-    """
-    Positions [m] and velocities [m/s] over `time` [s], arrays of one shape; z up.
-
-    `strain` [-] and `layer_velocity` [m/s] have the shape (time, depth), with `depth` [m] from the
-    plate to the top of the layer.
-    """
-
-    time: Floats
-    plate_position: Floats
-    top_position: Floats
-    projectile_position: Floats
-    plate_velocity: Floats
-    projectile_velocity: Floats
-    depth: Floats
-    strain: Floats
-    layer_velocity: Floats
+_LOSSLESS_CELLS, _SETTLED = (256, 512, 1024, 2048), 1e-4
+"""
+Numbers of cells of a lossless layer until time and speed of the release change by less than this;
+fewer miss short releases. [-]
+"""
 
 
 def ejections(events: Iterable[Event]) -> tuple[Event, ...]:
@@ -78,34 +56,30 @@ def make_stepper(
     layer is read at `field_points` heights. ThrowUnresolvedError if the rig cannot be stepped in
     real time, ValueError if an option is out of range.
     """
-    options: dict[str, Any] = {'is_measured': is_measured, 'field_points': field_points}
     if rig.layer.needs_cells:
-        return cell_stepper.CellStepper(rig, cells=cells, **options)
+        return cell_stepper.CellStepper(
+            rig, is_measured=is_measured, cells=cells, field_points=field_points
+        )
     if cells is not None:
         raise ValueError(f'cells are for layers that need them only, got {cells!r}')
-    return wave_stepper.WaveStepper(rig, **options)
+    return wave_stepper.WaveStepper(rig, is_measured=is_measured, field_points=field_points)
 
 
 def _make_settled_stepper(
     rig: Rig, cells: int | None, cancelled: Cancelled | None
 ) -> tuple[Stepper, int | None]:
-    """
-    Make a stepper for results to 1e-4, and return its number of cells, too.
-
-    Nothing smooths the waves in cells without loss. There the step is halved until the first
-    release settles, and the stepper stands after it.
-    """
+    """Make a stepper for results to 1e-4, and return the cells that settle a lossless release."""
     if cells is not None or not rig.layer.needs_cells or rig.layer.loss_tangent > 0.0:
         return make_stepper(rig, cells=cells, field_points=2), cells
-    cells, before = _LOSSLESS_CELLS, (math.inf, math.inf)
-    while True:
-        stepper = make_stepper(rig, cells=cells, field_points=2)
+    before = math.inf, math.inf
+    for count in _LOSSLESS_CELLS:
+        stepper = make_stepper(rig, cells=count, field_points=2)
         event = stepper.advance_to_release(latest=rig.longest_wait, cancelled=cancelled)
-        now = (math.nan, math.nan) if event is None else (event.time, event.velocity)
-        is_settled = np.allclose(now, before, rtol=_HALVING, atol=0.0, equal_nan=True)
-        if is_settled or cells == _MAX_CELLS:
-            return stepper, cells
-        cells, before = 2 * cells, now
+        now = (event.time, event.velocity) if event else (math.nan, math.nan)
+        if np.allclose(now, before, rtol=_SETTLED, atol=0.0, equal_nan=True):
+            break
+        before = now
+    return stepper, count
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,12 +93,8 @@ class Throw:
 
     rig: Rig
     cells: int | None = field(repr=False)
-    rest_height: float
-    """Height of the projectile's lower face before the throw. [m]"""
     events: tuple[Event, ...]
     """Releases, re-contacts and landings in order; the first one is the first release."""
-    end_time: float
-    """Time until which it was followed. [s]"""
     loads: Loads
     plate_work: float
     """Work of the plate. [J]"""
@@ -135,11 +105,6 @@ class Throw:
     def peak_plate_speed(self) -> float:
         """:math:`V_p^*` [m/s]."""
         return motion_of(self.rig.engine).peak_velocity
-
-    @property
-    def peak_strain(self) -> float:
-        """Largest strain magnitude in the layer [-]."""
-        return self.loads.strain
 
     @property
     def ejections(self) -> tuple[Event, ...]:
@@ -167,11 +132,6 @@ class Throw:
         return (self.ejection_speed / self.peak_plate_speed) ** 2
 
     @property
-    def last_energy_transfer(self) -> float:
-        r""":math:`\alpha` of the last release [-]."""
-        return (self.last_release.velocity / self.peak_plate_speed) ** 2
-
-    @property
     def apex_height(self) -> float:
         """Highest position of the projectile's lower face, see `apex_height` [m]."""
         return apex_height(self.last_release, self.rig.gravity)
@@ -179,25 +139,22 @@ class Throw:
     @property
     def flight_height(self) -> float:
         """Height of the apex above where the projectile rested, infinite without gravity [m]."""
-        return self.apex_height - self.rest_height
+        return self.apex_height - self.rig.rest_height
 
-    def trajectory(self, time: ArrayLike, *, points: int = 2) -> Trajectory:
+    def trajectory(self, time: ArrayLike, *, points: int = 2) -> tuple[Floats, Floats]:
         """
-        Return the motion at increasing times [s], following the throw again.
+        Return the states and the layer at increasing times [s], following the throw again.
 
-        The layer is read at so many `points` from plate to top, both included, at least 2.
+        The rows are `Stepper.state` and, at `points` from plate to top, `Stepper.read_layer`; the
+        shapes are (n, 7) and (n, 4, points).
         """
-        time = np.atleast_1d(np.asarray(time, dtype=np.float64))
+        times = np.atleast_1d(np.asarray(time, dtype=np.float64))
         stepper = make_stepper(self.rig, cells=self.cells, field_points=points)
-        rows, layer = np.empty((time.size, 5)), np.empty((time.size, 4, points))
-        for row, heights, moment in zip(rows, layer, time.tolist(), strict=True):
+        states, layers = np.empty((times.size, 7)), np.empty((times.size, 4, points))
+        for state, layer, moment in zip(states, layers, times.tolist(), strict=True):
             stepper.advance_to(moment)
-            heights[:] = stepper.read_layer()
-            plate, projectile, plate_velocity, velocity = stepper.state[1:5]
-            row[:] = plate, stepper.surface_position, projectile, plate_velocity, velocity
-        depth = np.linspace(0.0, self.rig.layer.thickness, points)
-        columns: Any = (time, *rows.T, depth, layer[:, 3], layer[:, 1])
-        return Trajectory(*columns)
+            state[:], layer[:] = stepper.state, stepper.read_layer()
+        return states, layers
 
 
 def simulate(
@@ -214,16 +171,12 @@ def simulate(
     cells : int, optional
         Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
-        Stop at this time. If not given, stop when the projectile has come down on the layer, since
-        a lossless bounce has no end, or after half a second of computing. Where the projectile
-        cannot come down until then, stop when it is far above every height that the free top
-        reached in eight crossings and two periods of the plate. [s]
+        Stop at this time [s]. If not given, stop when the projectile has come down on the layer,
+        since a lossless bounce has no end, or after half a second of computing. Where it cannot
+        come down until then, stop when it is far above every height that the free top reached in
+        eight crossings and two periods of the plate.
     cancelled : callable, optional
         See `batch.Cancelled`.
-
-    Returns
-    -------
-    Throw
 
     Raises
     ------
@@ -237,15 +190,12 @@ def simulate(
 
     Examples
     --------
-    >>> throw = simulate(Rig(layer=Layer(thickness=16.8e-3)))
+    The paper's rig, with gelatin that has a loss tangent of 0.05:
+
+    >>> from soft_throw_ros.core import Layer
+    >>> throw = simulate(Rig(layer=Layer(thickness=16.8e-3, loss_tangent=0.05)))
     >>> round(throw.ejection_time * 1e3, 3), round(throw.energy_transfer, 3)
-    (7.647, 3.637)
-
-    The same gelatin with a loss tangent of 0.05:
-
-    >>> layer = Layer(thickness=16.8e-3, loss_tangent=0.05)
-    >>> round(simulate(Rig(layer=layer)).energy_transfer, 3)
-    3.256
+    (7.336, 3.256)
 
     """
     if until is not None:
@@ -254,7 +204,6 @@ def simulate(
     stepper.reset()
     _run(stepper, until, cancelled)
     events = tuple(stepper.events())
-    end_time = float(stepper.state[TIME])
     if not events:
         largest = rig.engine.speed_scale * rig.engine.angular_frequency
         if rig.engine.motion is None and largest < rig.gravity:
@@ -263,15 +212,15 @@ def simulate(
                 f'{rig.gravity:g} m/s2, and the projectile stays on the layer'
             )
         raise ThrowUnresolvedError(
-            f'the projectile is not released by {end_time:g} s; follow it for longer'
+            f'the projectile is not released by {stepper.state[TIME]:g} s; follow it for longer'
         )
     stepper.reset()
     stepper.advance_to(events[0].time)
     work, stored = stepper.plate_work, stepper.stored_energy()
     is_lossless = rig.layer.loss_tangent == 0.0 and rig.layer.stress_strain_law == 'linear'
     return Throw(
-        rig=rig, cells=cells, rest_height=stepper.rest_position, events=events, end_time=end_time,
-        loads=stepper.loads, plate_work=work, heat=0.0 if is_lossless else max(0.0, work - stored),
+        rig=rig, cells=cells, events=events, loads=stepper.loads, plate_work=work,
+        heat=0.0 if is_lossless else max(0.0, work - stored),
     )
 
 
@@ -282,16 +231,15 @@ def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> 
     latest = min(_LONGEST, affordable) if until is None else until
     quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
-    low = high = stepper.rest_position
-    time, ticks, event_count = 0.0, 0, 0
+    low = high = rig.rest_height
+    time, event_count = 0.0, 0
     while time < latest:
         check_cancelled(cancelled)
-        ticks += 1
-        time = min(ticks * tick, latest)
+        time = min(time + tick, latest)
         count = stepper.advance_to(time)
         if until is not None:
             continue
-        surface = stepper.surface_position
+        surface = float(stepper.read_layer()[0, -1])
         if count > event_count:
             event_count, last = count, stepper.events(count - 1)[0]
             if last.kind == 'landing':
@@ -324,27 +272,24 @@ RELEASED, HELD, REFUSED = range(3)
 
 
 class Throws(NamedTuple):
-    """First releases and loads of many throws, arrays of one shape; NaN without a release."""
+    r"""
+    First releases and loads of many throws, arrays of one shape; NaN without a release.
+
+    Times [s], speeds [m/s] and :math:`\alpha` [-] of the releases; until then the largest
+    magnitudes of strain [-], of acceleration of the projectile [m/s2] and of force on the plate
+    [N], and the work of the plate [J]. The status is `RELEASED`; `HELD` if no release was found;
+    `REFUSED` if a thickness, a wave speed or a mass is not positive, or a throw that needs a
+    stepper cannot be followed in time.
+    """
 
     ejection_time: Floats
-    """:math:`t_e`. [s]"""
     ejection_speed: Floats
-    """:math:`V_e`. [m/s]"""
     energy_transfer: Floats
-    r""":math:`\alpha`. [-]"""
     peak_strain: Floats
-    """Largest magnitude of the strain in the layer. [-]"""
     peak_acceleration: Floats
-    """Largest magnitude of the projectile's acceleration. [m/s2]"""
     peak_plate_force: Floats
-    """Largest magnitude of the layer's force on the plate. [N]"""
     plate_work: Floats
-    """Work of the plate up to the release. [J]"""
     status: NDArray[np.int8]
-    """
-    `RELEASED`; `HELD` if no release was found; `REFUSED` if a thickness, a wave speed or a mass is
-    not positive, or a throw that needs a stepper cannot be followed in time.
-    """
 
 
 def throw_many(
@@ -421,39 +366,33 @@ def throw_many(
 
     def by_steppers(batch: NDArray[np.int64]) -> None:
         for n in batch.tolist():
-            changed = rig_with(rig, {name: values[name][n].item() for name in new})
-            own_cells = cells if changed.layer.needs_cells else None
+            other = rig_with(rig, {name: values[name][n].item() for name in new})
+            own_cells = cells if other.layer.needs_cells else None
             try:
-                stepper, _ = _make_settled_stepper(changed, own_cells, cancelled)
-                release = stepper.advance_to_release(
-                    latest=changed.longest_wait, cancelled=cancelled
-                )
+                stepper, _ = _make_settled_stepper(other, own_cells, cancelled)
+                event = stepper.advance_to_release(latest=other.longest_wait, cancelled=cancelled)
             except ThrowUnresolvedError:
                 status[n] = REFUSED
                 continue
-            if release is not None:
-                row = release.time, release.velocity, *stepper.loads, stepper.plate_work
-                results[:, n] = row
+            if event:
+                results[:, n] = event.time, event.velocity, *stepper.loads, stepper.plate_work
 
-    is_lossy, is_linear = values['loss_tangent'] > 0.0, rig.layer.stress_strain_law == 'linear'
-    needs_cells = is_lossy | bool(rig.layer.parts or not is_linear)
-    is_settled = is_lossy | (cells is not None)
-    needs_stepper = (needs_cells & ~is_settled) | (rig.engine.motion is not None)
+    is_lossy = values['loss_tangent'] > 0.0
+    has_cells = is_lossy | bool(rig.layer.parts) | (rig.layer.stress_strain_law != 'linear')
+    has_stepper = (has_cells & ~is_lossy & (cells is None)) | (rig.engine.motion is not None)
     for run, chosen, size in (  # of a batch, some milliseconds
-        (by_closed_form, ~needs_stepper & ~needs_cells, 256),
-        (by_cells, ~needs_stepper & needs_cells, 32),
-        (by_steppers, needs_stepper, 8),
+        (by_closed_form, ~has_stepper & ~has_cells, 256),
+        (by_cells, ~has_stepper & has_cells, 32),
+        (by_steppers, has_stepper, 8),
     ):
         run_batches(
             run, np.flatnonzero(chosen & exist), size=size, threads=threads, cancelled=cancelled
         )
     status[~np.isnan(results[0])] = RELEASED
     results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
-    if rig.engine.motion is None:
-        peak_speed = peak_velocity_ratio(values['damping_ratio'])
-    else:
-        peak_speed = rig.engine.motion.peak_velocity / rig.engine.speed_scale
-    peak_speed = peak_speed * 2.0 * math.pi * values['frequency'] * values['amplitude']
+    motion, zeta = rig.engine.motion, values['damping_ratio']
+    peak = motion.peak_velocity / rig.engine.speed_scale if motion else peak_velocity_ratio(zeta)
+    peak_speed = peak * 2.0 * math.pi * values['frequency'] * values['amplitude']
     rows = np.insert(results, 2, (results[1] / peak_speed) ** 2, axis=0).reshape(7, *shape)
     numbers: Any = (*rows, status.astype(np.int8).reshape(shape))
     return Throws(*numbers)
@@ -461,21 +400,16 @@ def throw_many(
 
 def rig_with(rig: Rig, changes: Mapping[str, Any]) -> Rig:
     """Return a rig with other values; a stack and a motion of the plate change in proportion."""
-    of_engine, of_layer = (
-        {item.name: changes[item.name] for item in fields(kind) if item.name in changes}
-        for kind in (Engine, Layer)
+    parts: Iterable[Any] = (rig.engine, rig.layer, rig.projectile)
+    engine, layer, projectile = (
+        replace(part, **{name: changes[name] for name in vars(part).keys() & changes.keys()})
+        for part in parts
     )
-    engine = replace(rig.engine, **of_engine)
-    if engine.motion and (of_engine.keys() & {'frequency', 'amplitude'}):
+    if engine.motion and engine != rig.engine:
         motion = engine.motion.scaled(
             time=rig.engine.frequency / engine.frequency,
             height=engine.amplitude / rig.engine.amplitude,
         )
         engine = replace(engine, motion=motion)
-    return replace(
-        rig,
-        engine=engine,
-        layer=replace(rig.layer, **of_layer),
-        projectile=replace(rig.projectile, mass=changes.get('mass', rig.projectile.mass)),
-        gravity=changes.get('gravity', rig.gravity),
-    )
+    gravity = changes.get('gravity', rig.gravity)
+    return Rig(engine=engine, layer=layer, projectile=projectile, gravity=gravity)

@@ -265,5 +265,5 @@ def _compute(rig: Rig, release: Release, names: Sequence[str], cases: Floats) ->
         with contextlib.suppress(ThrowUnresolvedError):  # held, too light, or chattering for ever
             throw = simulate(changed)
             phase = throw.last_release.time * changed.engine.frequency
-            results[:, n] = phase, throw.last_energy_transfer
+            results[:, n] = phase, (throw.last_release.velocity / throw.peak_plate_speed) ** 2
     return results

@@ -330,7 +330,7 @@ def _follow(
         except ValueError:
             return None
         excess = max(
-            throw.peak_strain / loads.max_strain,
+            throw.loads.strain / loads.max_strain,
             throw.loads.acceleration / loads.max_acceleration,
         )
         if excess <= 1.0 + _LOAD_TOLERANCE:

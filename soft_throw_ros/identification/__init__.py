@@ -7,8 +7,7 @@ Identification of a rig from measured tracks: parameters with their uncertaintie
 with a model: of the plate alone (`plate_fit`), of whole throws (`rig_model` as `fit_description`
 says, run by `rig_fit`), or of a free layer (`ringing`). A fit of whole throws is started by
 `layer_search`, which also tries other minima; a loss is tried, and systematic errors, which the
-tracks hardly show, are added to the errors (`systematics`).
-`ejection` computes the first release. Only `forward` calls the steppers of the core.
+tracks hardly show, are added to the errors (`systematics`). `ejection` has the first release.
 
 This package may import `twin`, `design` and the packages below them.
 """

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,25 +32,15 @@ class Release(NamedTuple):
     probability: float = 1.0  # share among the rigs drawn from the errors of the fit [-]
 
 
-class Ejection(NamedTuple):
-    r"""
-    The first release of the projectile.
-
-    Ejection time and energy transfer jump where the release passes an odd multiple of the
-    crossing time. If the errors of the fit reach such a jump, the releases beyond it are
-    `alternatives`, and the standard errors are those on the near side of the jump.
-    """
-
-    first: Release
-    alternatives: tuple[Release, ...] = ()  # the most probable one first
-
-
-def ejection_of(result: RigFit) -> Ejection:
+def releases_of(result: RigFit) -> list[Release]:
     r"""
     Compute the first release of a fitted rig; raise FitError if there is none.
 
-    Errors are the systematic ones of a release, and the deviations of rigs that are drawn from
-    the errors of the fit, since :math:`t_e` and :math:`\alpha` have no derivative at a jump.
+    Ejection time and energy transfer jump where the release passes an odd multiple of the
+    crossing time. If the errors of the fit reach such a jump, the releases beyond it follow, the
+    most probable one first. Errors are the systematic ones of a release, and the deviations of
+    rigs that are drawn from the errors of the fit, since :math:`t_e` and :math:`\alpha` have no
+    derivative at a jump.
     """
     rigs = [result.rig, *result.draw(_DRAWS)]
     drawn = [values_of(rig) for rig in rigs]
@@ -65,29 +56,29 @@ def ejection_of(result: RigFit) -> Ejection:
     echoes = ((np.nan_to_num(crossings) - 1.0) // 2.0).astype(np.int64)
     echoes -= echoes[0]
     columns = {
-        'ejection.time': time,
-        'ejection.speed': speed,
-        'ejection.peak_plate_speed': speed / np.sqrt(energy_transfer),
-        'ejection.energy_transfer': energy_transfer,
+        'time': time,
+        'speed': speed,
+        'peak_plate_speed': speed / np.sqrt(energy_transfer),
+        'energy_transfer': energy_transfer,
     }
 
     def release(count: int) -> Release:
         chosen = is_released & (echoes == count)
-        estimates = []
+        estimates = {}
         for name, column in columns.items():
             value = float(column[chosen].mean() if count else column[0])
             error = float(np.sqrt(np.mean((column[chosen] - value) ** 2)))
-            estimates.append(with_floor(name, Estimate(value, error), result.growth))
-        release_time, release_speed, peak_speed, alpha = estimates
+            found = Estimate(value, error)
+            estimates[name] = with_floor(f'ejection.{name}', found, result.growth)
         share = float(chosen.sum() / is_released.sum())
-        return Release(release_time, release_speed, peak_speed, alpha, count, share)
+        return Release(**estimates, echoes=count, probability=share)
 
     others = [release(int(count)) for count in np.unique(echoes[is_released]) if count]
     likely = [item for item in others if item.probability > _MIN_PROBABILITY]
-    return Ejection(release(0), tuple(sorted(likely, key=lambda item: -item.probability)))
+    return [release(0), *sorted(likely, key=lambda item: -item.probability)]
 
 
-def doubt(result: RigFit, ejection: Ejection | None) -> str:
+def doubt(result: RigFit, releases: Sequence[Release]) -> str:
     """
     Return why a fit is not good enough to choose a layer; empty if it is.
 
@@ -96,13 +87,12 @@ def doubt(result: RigFit, ejection: Ejection | None) -> str:
     """
     if assumed := result.model.description.assumed:
         return f'nobody stated {", ".join(assumed)}'
-    if ejection is None:
+    if not releases:
         return 'no release is predicted'
     if warnings := fit_warnings(result.fit):
         return warnings[0]
-    value, error = ejection.first.energy_transfer
-    others = [item.energy_transfer.value for item in ejection.alternatives]
-    if max((abs(other - value) for other in others), default=0.0) > GOOD_ENOUGH * value:
+    value, error = releases[0].energy_transfer
+    if any(abs(item.energy_transfer.value - value) > GOOD_ENOUGH * value for item in releases):
         return 'another number of echoes is possible'
     if error > GOOD_ENOUGH * value:
         known = f'{100.0 * error / value:.2g} %, more than {100.0 * GOOD_ENOUGH:g} %'

@@ -19,7 +19,7 @@ from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import rig_with
-from soft_throw_ros.identification.least_squares import Estimate, FitError
+from soft_throw_ros.identification.least_squares import Estimate
 
 ENGINE = ('engine.frequency', 'engine.damping_ratio', 'engine.amplitude')
 LOSS = 'layer.loss_tangent'
@@ -147,11 +147,8 @@ class FitDescription:
         return Estimate(value, treatment.error * (abs(value) if treatment.is_relative else 1.0))
 
     def prepare(self, rig: Rig) -> Rig:
-        """Return a rig with the values of the description; raise FitError for invalid ones."""
-        try:
-            return changed_rig(rig, {name: self.value(name, rig) for name in PARAMETERS})
-        except ValueError as error:
-            raise FitError(str(error)) from None
+        """Return a rig with the values of the description; raise ValueError for invalid ones."""
+        return changed_rig(rig, {name: self.value(name, rig) for name in PARAMETERS})
 
 
 def parse_error(text: str, value: str) -> Treatment:

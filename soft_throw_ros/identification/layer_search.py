@@ -103,7 +103,13 @@ def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[Fit]) -> F
             _is_separate(minimum, other) for minimum in minima
         ):
             minima.append(other)
-    return best.spanning([Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]])
+    # The intervals of 95 % extend to the other minima
+    halves = [0.5 * (other.values - best.values) for other in minima[1:]]
+    return replace(
+        best,
+        covariance=sum((np.outer(half, half) for half in halves), best.covariance),
+        alternatives=tuple(Alternative(item.values, item.chi2 - best.chi2) for item in minima[1:]),
+    )
 
 
 def _is_same_layer(fit: Fit, other: Fit) -> bool:

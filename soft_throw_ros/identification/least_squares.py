@@ -21,7 +21,7 @@ A prior is one more residual. Information adds up, :math:`C^{-1} = \sum_i F_i`, 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 import math
 from typing import Any, NamedTuple
@@ -154,13 +154,6 @@ class Fit:
         zeros = np.zeros_like(scale)
         return np.asarray(np.divide(self.covariance, scale, out=zeros, where=scale > 0.0))
 
-    def spanning(self, alternatives: Sequence[Alternative]) -> Fit:
-        """Extend the intervals of 95 % to other minima."""
-        covariance = self.covariance.copy()
-        for item in alternatives:
-            covariance += np.outer(*2 * [0.5 * (item.values - self.values)])
-        return replace(self, covariance=covariance, alternatives=tuple(alternatives))
-
     @property
     def is_mismatch(self) -> bool:
         """Whether the residuals but outliers are larger than noise and its error explain."""
@@ -169,62 +162,59 @@ class Fit:
         return float(usual @ usual) / dof > 1.0 + _MISMATCH / math.sqrt(dof)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitModel:
-    """A model of all tracks: their heights in one series [m], and the derivatives."""
-
-    names: tuple[str, ...]
-    predict: Callable[[Floats], Floats]
-    jacobian: Callable[[Floats], Floats] | None = None  # None: differences of values near 1
-    low: Floats
-    high: Floats
-    known: Mapping[int, Estimate] = field(default_factory=dict)  # priors, by indices
-
-
 def fit_tracks(
-    model: FitModel, start: Floats, tracks: Sequence[tuple[str, Track]], *,
-    max_evaluations: int = 100,
+    predict: Callable[[Floats], Floats],
+    start: Floats,
+    tracks: Sequence[tuple[str, Track]],
+    *,
+    names: tuple[str, ...],
+    bounds: tuple[Floats, Floats],
+    jacobian: Callable[[Floats], Floats] | None = None,
+    known: Mapping[int, Estimate] | None = None,
+    max_evaluations: int = 200,
 ) -> Fit:
     """
     Fit a model to tracks with names, from a sufficiently close start.
 
-    The tracks are in the order of the predictions of the model. Raise FitError if there are not
-    more samples than parameters.
+    `predict` returns the heights of all tracks in their order [m], `jacobian` the derivatives, by
+    default differences of values near 1. `known` has the priors by indices of the values. Raise
+    FitError if there are not more samples than parameters.
     """
+    known = known or {}
     sizes = [track.time.size for _, track in tracks]
     samples = sum(sizes)
-    if samples + len(model.known) <= start.size:
+    if samples + len(known) <= start.size:
         raise FitError(
-            f'{samples} samples are too few for {start.size} parameters: {", ".join(model.names)}'
+            f'{samples} samples are too few for {start.size} parameters: {", ".join(names)}'
         )
     position = np.concatenate([track.position for _, track in tracks])
     noise = np.concatenate([track.deviations for _, track in tracks])
-    known = np.array(list(model.known), dtype=np.intp)
-    means, errors = np.array(list(model.known.values()), dtype=np.float64).reshape(-1, 2).T
+    indices = np.array(list(known), dtype=np.intp)
+    means, errors = np.array(list(known.values()), dtype=np.float64).reshape(-1, 2).T
 
     def residuals(values: Floats) -> Floats:
         return np.concatenate([
-            (model.predict(values) - position) / noise, (values[known] - means) / errors
+            (predict(values) - position) / noise, (values[indices] - means) / errors
         ])
 
-    def jacobian(values: Floats) -> Any:
-        assert model.jacobian is not None
-        priors = np.eye(values.size)[known] / errors[:, None]
-        slopes = np.concatenate([model.jacobian(values) / noise[:, None], priors])
+    def slopes_of(values: Floats) -> Any:
+        assert jacobian is not None
+        priors = np.eye(values.size)[indices] / errors[:, None]
+        slopes = np.concatenate([jacobian(values) / noise[:, None], priors])
         return sparse.csr_matrix(slopes) if values.size > _MAX_DENSE_PARAMETERS else slopes
 
     def solve(begin: Floats, **loss: Any) -> Any:
         try:
             with np.errstate(divide='raise', over='raise', invalid='raise'):
                 return optimize.least_squares(
-                    residuals, begin, jac=jacobian if model.jacobian else '3-point',
-                    bounds=(model.low, model.high), x_scale='jac', xtol=_TOLERANCE,
-                    ftol=_TOLERANCE, gtol=_TOLERANCE, max_nfev=max_evaluations, **loss,
+                    residuals, begin, jac=slopes_of if jacobian else '3-point', bounds=bounds,
+                    x_scale='jac', xtol=_TOLERANCE, ftol=_TOLERANCE, gtol=_TOLERANCE,
+                    max_nfev=max_evaluations, **loss,
                 )
         except FloatingPointError:
             raise FitError('the heights of the tracks are too large for a fit') from None
 
-    solution = solve(np.clip(start, model.low, model.high))
+    solution = solve(np.clip(start, *bounds))
     limit = _LIMIT * max(1.0, _NORMAL * float(np.median(np.abs(solution.fun))))
     if (np.abs(solution.fun[:samples]) > limit).any():
         solution = solve(solution.x, loss='huber', f_scale=limit)
@@ -238,7 +228,7 @@ def fit_tracks(
     slopes[:samples] /= math.sqrt(max(chi2 / dof, _slow_chi2(parts), 1.0))
     heights = np.split(position + noise * solution.fun[:samples], np.cumsum(sizes)[:-1])
     return Fit(
-        names=model.names,
+        names=names,
         values=np.asarray(solution.x),
         covariance=_covariance(slopes),
         chi2=chi2,
@@ -247,7 +237,7 @@ def fit_tracks(
             TrackResidual(name=name, track=track, fitted=fitted, limit=limit)
             for (name, track), fitted in zip(tracks, heights, strict=True)
         ),
-        known=dict(model.known),
+        known=known,
         is_converged=solution.status > 0,  # 0 is the limit of evaluations
     )
 

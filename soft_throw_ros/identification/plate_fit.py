@@ -22,7 +22,7 @@ from operator import itemgetter
 import numpy as np
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.fit_description import ENGINE, PLATE_ZERO, START
-from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
+from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError
 from soft_throw_ros.identification.tracks import Floats, Track
 
 NAMES = (*ENGINE, START, PLATE_ZERO)
@@ -55,13 +55,12 @@ def fit_plate(track: Track) -> Fit:
         return np.asarray(offset + motion.position(time - start_time))
 
     earliest, latest = track.time[0] - track.duration - start[3], track.time[-1] - start[3]
-    model = FitModel(
-        names=NAMES,
-        predict=lambda values: position(values, track.time),
-        low=np.array([1e-6, 0.0, 0.0, earliest, -np.inf]),
-        high=np.array([np.inf, MAX_DAMPING_RATIO, np.inf, latest, np.inf]),
+    low = np.array([1e-6, 0.0, 0.0, earliest, -np.inf])
+    high = np.array([np.inf, MAX_DAMPING_RATIO, np.inf, latest, np.inf])
+    best = fit_tracks(
+        lambda values: position(values, track.time), start - origin, [('plate', track)],
+        names=NAMES, bounds=(low, high),
     )
-    best = fit_tracks(model, start - origin, [('plate', track)], max_evaluations=200)
     amplitude = best['engine.amplitude']
     if amplitude.value < 3.0 * amplitude.error or amplitude.value <= 0.0:
         raise FitError(

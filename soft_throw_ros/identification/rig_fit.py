@@ -37,11 +37,10 @@ from soft_throw_ros.identification.fit_description import (
     START,
     values_of,
 )
-from soft_throw_ros.identification.forward import ThrowSimulator
 from soft_throw_ros.identification.layer_search import find_best_minimum, find_layers
 from soft_throw_ros.identification.least_squares import Estimate, Fit, FitError
 from soft_throw_ros.identification.plate_fit import fit_plate
-from soft_throw_ros.identification.rig_model import RigModel
+from soft_throw_ros.identification.rig_model import RigModel, ThrowSimulator
 from soft_throw_ros.identification.systematics import FLOORS, growth_by, with_floor
 from soft_throw_ros.identification.tracks import FEWEST, ThrowTracks, Track
 
@@ -68,11 +67,7 @@ class RigFit:
 
     @cached_property
     def rig(self) -> Rig:
-        """
-        Rig with the fitted values, and the mean of values per throw.
-
-        The wave speed of the layer is that at the strain of these throws.
-        """
+        """Rig with the fitted values, means of values per throw, at the strain of these throws."""
         return self.model.rig_of(self.fit.values)
 
     def estimates(self) -> dict[str, Estimate]:
@@ -142,14 +137,12 @@ def fit_rig(
     one of the layer is free, a throw must have a projectile. FitError has the reason if the tracks
     do not determine the parameters.
     """
-    if not throws:
-        raise FitError('there is no throw to fit to')
     description = description or FitDescription()
     free = [name for name in LAYER if description.treatment(name).is_free]
     if free and all(throw.projectile is None for throw in throws):
         raise FitError(f'{", ".join(free)} cannot be found without a track of the projectile')
     simulator = ThrowSimulator(_SECONDS_PER_THROW * len(throws))
-    model = _fit_plates(_with_noise(throws), rig, description, simulator)
+    model = fit_plates(_with_noise(throws), rig, description, simulator)
     candidates = find_layers(model) if free else []
     if candidates:
         model = replace(model, initial={**model.initial, **candidates[0].by_name})
@@ -160,7 +153,7 @@ def fit_rig(
     return RigFit(model=unlimited, fit=fit, is_complete=not simulator.is_late)
 
 
-def _fit_plates(
+def fit_plates(
     throws: Sequence[ThrowTracks], rig: Rig, description: FitDescription, simulator: ThrowSimulator
 ) -> RigModel:
     """Fit the plates alone, which no layer changes; return the whole model."""

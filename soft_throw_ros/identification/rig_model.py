@@ -6,13 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 import math
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Rig
+from soft_throw_ros.core.stepper import Event, PROJECTILE_POSITION, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.identification.fit_description import (
     changed_rig,
     DEFAULTS,
@@ -27,8 +31,7 @@ from soft_throw_ros.identification.fit_description import (
     PROJECTILE_ZERO,
     START,
 )
-from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError, FitModel
+from soft_throw_ros.identification.least_squares import Fit, fit_tracks, FitError
 from soft_throw_ros.identification.plate_fit import MAX_DAMPING_RATIO
 from soft_throw_ros.identification.tracks import FEWEST, Floats, ThrowTracks, Track
 
@@ -46,10 +49,11 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
 _UNBOUNDED = (-math.inf, math.inf)
 _STEP = 3e-4  # relative step of derivatives, large against the errors of steppers
 _STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
-
 _OWN = FREE._replace(is_per_throw=True)  # treatment of the parameters that every throw has
 _MAX_ERROR = 1e30  # error in SI units beyond which a parameter is not seen at all
 _MAX_EVALUATIONS = 200  # largest number of evaluations of the model in one run of the solver
+_MAX_COST = 0.16  # largest processor time of one simulation, as its stepper estimates it [s]
+_MAX_CACHED = 64  # largest number of cached throws
 
 
 class Series(NamedTuple):
@@ -61,10 +65,81 @@ class Series(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Measured height [m] and velocity [m/s] of a body."""
+    """Heights of a body [m], of the projectile's lower face, its velocities [m/s], and events."""
 
     height: Floats
     velocity: Floats
+    events: tuple[Event, ...] = ()
+
+
+class ThrowSimulator:
+    """Simulate throws within seconds of processor time of this thread; then raise FitError."""
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self._deadline = thread_time() + seconds
+        self._cached = lru_cache(_MAX_CACHED)(self._simulate)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the deadline is over."""
+        return thread_time() > self._deadline
+
+    def follow(self, rig: Rig, moments: Floats, *, by_cells: bool = False) -> Trajectory:
+        """
+        Follow a throw at times since the start of the plate, before which all is at rest [s].
+
+        `by_cells` uses cells also without internal loss: all rigs that a fit of the loss compares
+        need the same model. Raise FitError if the model refuses the rig, or a single simulation
+        would take too long.
+        """
+        return self._cached(rig, moments.tobytes(), by_cells)
+
+    def landing_time(self, rig: Rig, until: float, *, by_cells: bool = False) -> float:
+        """Return the time of landing on the layer, infinity if after `until` [s]."""
+        events = self.follow(rig, np.array([until]), by_cells=by_cells).events
+        landings = (event.time for event in events if event.kind == 'landing')
+        return next(landings, math.inf) if rig.gravity > 0.0 else math.inf
+
+    def _simulate(self, rig: Rig, moments: bytes, by_cells: bool) -> Trajectory:
+        if self.is_late:
+            raise FitError(
+                'the fit takes too long; leave out late samples, or fit fewer parameters'
+            )
+        try:
+            return _follow(rig, np.frombuffer(moments), by_cells=by_cells)
+        except ValueError as error:
+            raise FitError(f'the throw cannot be followed: {error}') from None
+
+
+def _follow(rig: Rig, times: Floats, *, by_cells: bool) -> Trajectory:
+    """Follow a throw at times in any order, by the stepper of its rig or by cells."""
+    moments, indices = np.unique(np.maximum(times, 0.0), return_inverse=True)
+    until = float(moments[-1])
+    stepper = (CellStepper if by_cells else make_stepper)(rig, field_points=2)
+    cost = stepper.cost * until
+    if cost > _MAX_COST:
+        raise ValueError(
+            f'{until:.3g} s of a layer that a wave crosses in {rig.crossing_time:.2g} s take '
+            f'{cost:.2g} s to simulate, the limit is {_MAX_COST:g} s; leave out late samples'
+        )
+    stepper.advance_to(until)
+    events = stepper.events()
+    states, is_flying = np.empty((2, moments.size)), np.zeros(moments.size, dtype=bool)
+    ends = [*(event.time for event in events[1:]), math.inf]
+    for release, end in zip(events, ends, strict=False):
+        if release.kind == 'release':
+            flight = (moments >= release.time) & (moments < end)
+            since = moments[flight] - release.time
+            mean_velocity = release.velocity - 0.5 * rig.gravity * since
+            states[0, flight] = release.position + mean_velocity * since
+            states[1, flight] = release.velocity - rig.gravity * since
+            is_flying |= flight
+    stepper.reset()
+    for index in np.flatnonzero(~is_flying).tolist():
+        stepper.advance_to(float(moments[index]))
+        states[:, index] = stepper.state[[PROJECTILE_POSITION, PROJECTILE_VELOCITY]]
+    heights, velocities = states[:, indices]
+    return Trajectory(heights, velocities, tuple(events))
 
 
 @dataclass(frozen=True)
@@ -129,7 +204,7 @@ class RigModel:
         )
 
     def own_name(self, name: str, throw: int) -> str:
-        """Return the name of a value of one throw, which throws count from 0."""
+        """Return the name of a value of one throw, counted from 0."""
         return name if len(self.throws) == 1 else f'{name}[{throw + 1}]'
 
     @cached_property
@@ -190,7 +265,7 @@ class RigModel:
             for name in ('projectile.scale', 'projectile.delay', PROJECTILE_ZERO)
         )
         path = self.simulator.follow(rig, since - delay, by_cells=self.by_cells)
-        height = rest + scale * (path.position - rig.rest_height) + drift
+        height = rest + scale * (path.height - rig.rest_height) + drift
         return Trajectory(height, scale * path.velocity)
 
     def jacobian(self, values: Floats, only: Collection[str] = ()) -> Floats:
@@ -210,17 +285,14 @@ class RigModel:
                     block[:, index] = -now.velocity
                     continue
                 moved = values.copy()
-                moved[index] += self._step(name, float(values[index]))
+                size = abs(values[index]) if name in PARAMETERS else 1.0
+                step = _STEPS.get(name, _STEP * size)
+                is_within = values[index] + step < _BOUNDS.get(name, _UNBOUNDED)[1]
+                moved[index] += step if is_within else -step
                 change = self.trajectory(moved, throw, body, track.time).height - now.height
                 block[:, index] = change / (moved[index] - values[index])
             blocks.append(block)
         return np.concatenate(blocks)
-
-    @staticmethod
-    def _step(name: str, value: float) -> float:
-        """Return a step for a derivative that remains within the bounds."""
-        step = _STEPS.get(name, _STEP * (abs(value) if name in PARAMETERS else 1.0))
-        return step if value + step < _BOUNDS.get(name, _UNBOUNDED)[1] else -step
 
     def start(self, before: Mapping[str, float] | None = None) -> Floats:
         """Return start values: those of `before`, of `initial`, or of the description."""
@@ -248,27 +320,26 @@ class RigModel:
             k: prior for k, name in enumerate(kinds)
             if name in DEFAULTS and (prior := self.description.known(name, self.rig))
         }
-        low, high = np.transpose([_BOUNDS.get(name, _UNBOUNDED) for name in kinds])
 
         def whole(values: Floats) -> Floats:
             full: Floats = start.copy()
             full[free] = values
             return full
 
-        model = FitModel(
-            names=tuple(self.names[index] for index in free),
-            predict=lambda values: self.predict(whole(values)),
-            jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
-            low=low,
-            high=high,
-            known=known,
-        )
         several = len(self.throws) > 1
         tracks = [
             (f'{body} of {self.throws[throw].name}' if several else body, track)
             for throw, body, track in self.series
         ]
-        result = fit_tracks(model, start[free], tracks, max_evaluations=max_evaluations)
+        low, high = np.transpose([_BOUNDS.get(name, _UNBOUNDED) for name in kinds])
+        result = fit_tracks(
+            lambda values: self.predict(whole(values)), start[free], tracks,
+            names=tuple(self.names[index] for index in free),
+            bounds=(low, high),
+            jacobian=lambda values: self.jacobian(whole(values), only)[:, free],
+            known=known,
+            max_evaluations=max_evaluations,
+        )
         errors = zip(result.names, result.errors, strict=True)
         if unseen := [name for name, error in errors if not error < _MAX_ERROR]:
             raise FitError(f'these tracks say nothing of {", ".join(unseen)}')

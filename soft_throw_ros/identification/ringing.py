@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, stats
@@ -30,13 +29,6 @@ _MIN_CYCLES = 1.5  # smallest number of periods in the record
 _MIN_SAMPLES = 2.5  # smallest number of samples per period
 _ONSET = 0.7  # share of the largest change of length, below which the layer counts as free
 _MIN_SIGNAL = 50.0  # smallest decrease of chi squared by the oscillation; noise reaches about 20
-
-
-class CommonWaveSpeed(NamedTuple):
-    """Wave speed of several layers [m/s], and the probability that one material scatters so."""
-
-    value: Estimate
-    probability: float
 
 
 def fit_period(bottom: Track, top: Track) -> Estimate:
@@ -98,8 +90,12 @@ def _strongest_period(time: Floats, length: Floats, interval: float) -> float:
 
 def fit_wave_speed(
     thicknesses: Sequence[float], periods: Sequence[Estimate], *, thickness_error: float
-) -> CommonWaveSpeed:
-    """Fit a line through the origin to thicknesses [m] and periods [s]; scatter adds errors."""
+) -> tuple[Estimate, float]:
+    """
+    Fit a line through the origin to thicknesses [m] and periods [s]; scatter adds errors.
+
+    Return the wave speed [m/s], and the probability that one material scatters so.
+    """
     thickness, (period, error) = np.array(thicknesses), np.transpose(periods)
     slope = float(period.sum() / thickness.sum())
     for _ in range(4):  # the weights hardly depend on the slope
@@ -110,4 +106,4 @@ def fit_wave_speed(
     scatter = max(1.0, chi2 / dof) if dof else 1.0
     speed_error = 2.0 / slope**2 * math.sqrt(scatter / information)
     probability = float(stats.chi2.sf(chi2, dof)) if dof else 1.0
-    return CommonWaveSpeed(Estimate(2.0 / slope, speed_error), probability)
+    return Estimate(2.0 / slope, speed_error), probability

@@ -18,7 +18,6 @@ from scipy.signal import spectrogram
 from soft_throw_ros.configuration.csv_rows import Floats, MIN_STEP
 
 Flags = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 FEWEST = 12
 """Smallest number of samples of a track."""
@@ -93,8 +92,23 @@ class Track:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of the positions, known or estimated [m]."""
-        return self.known_noise or noise_of(self.time, self.position, self._stamp_noise)
+        r"""
+        Standard deviation of the positions, known or estimated [m].
+
+        The estimate is that of the deviations from cubics through neighbours, to which a motion of
+        n samples per period adds its amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`; without
+        those at kinks and jumps, and without the half of the samples with the larger errors of
+        times. It is at least the error of rounded heights, and never 0.
+        """
+        if self.known_noise:
+            return self.known_noise
+        deviation, spread = _beside_neighbours(self.time, self.position)
+        stamp_noise = self._stamp_noise[2:-2]
+        scatter = (deviation / spread)[2:-2][stamp_noise <= np.median(stamp_noise)]
+        usual = 1.4826 * float(np.median(np.abs(scatter)))
+        rms = float(np.sqrt(np.mean(scatter[np.abs(scatter) <= _NOISE_SIGMAS * usual] ** 2)))
+        rounding = _smallest_step(self.position) / math.sqrt(12.0)
+        return max(rms, rounding, 1e-9 * float(np.ptp(self.position)), 1e-15)
 
     @cached_property
     def deviations(self) -> Floats:
@@ -135,8 +149,8 @@ class Track:
                 flags[begin:end] = np.ptp(height[begin - side:begin + 1]) > far
         return flags
 
-    def where(self, kept: Flags | Indices) -> Track:
-        """Return some of the samples, by flags or indices."""
+    def where(self, kept: Flags) -> Track:
+        """Return some of the samples."""
         return replace(self, time=self.time[kept], position=self.position[kept])
 
     def between(self, start: float, end: float) -> Track:
@@ -199,26 +213,6 @@ class ThrowTracks:
         )
 
 
-def noise_of(time: Floats, position: Floats, stamp_noise: Floats | None = None) -> float:
-    r"""
-    Estimate the standard deviation of white noise on a smooth motion [m].
-
-    It is that of the deviations from cubics through neighbours, to which a motion of n samples per
-    period adds its amplitude times :math:`(2 \pi / n)^4 / \sqrt{70}`; without those at kinks and
-    jumps, and without the half of the samples with the larger `stamp_noise` [m]. The result is at
-    least the error of rounded heights, and never 0.
-    """
-    deviation, spread = _beside_neighbours(time, position)
-    scatter = (deviation / spread)[2:-2]
-    if stamp_noise is not None:
-        scatter = scatter[stamp_noise[2:-2] <= np.median(stamp_noise[2:-2])]
-    usual = 1.4826 * float(np.median(np.abs(scatter)))
-    kept = scatter[np.abs(scatter) <= _NOISE_SIGMAS * usual]
-    rounding = _smallest_step(position) / math.sqrt(12.0)
-    rms = float(np.sqrt(np.mean(kept**2)))
-    return max(rms, rounding, 1e-9 * float(np.ptp(position)), 1e-15)
-
-
 def _smallest_step(position: Floats) -> float:
     """Return the smallest step of rounded heights, 0 for a single height [m]."""
     steps = np.diff(np.unique(position))
@@ -273,9 +267,7 @@ def find_throws(plate: Track) -> list[tuple[float, float]]:
     high = maximum_filter1d(position, size)
     tolerance = 6.0 * plate.noise / math.sqrt(width) + 0.005 * float(np.ptp(position))
     quiet = high - low < 2.0 * tolerance
-    if not quiet.any():
-        return []
-    rest = float(np.min(0.5 * (low + high)[quiet]))
+    rest = float(np.min(0.5 * (low + high)[quiet], initial=math.inf))
     at_rest = quiet & (np.abs(position - rest) < tolerance)
     edges = np.diff(at_rest.astype(np.int8))
     returns = time[1:][edges == 1]

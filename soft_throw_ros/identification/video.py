@@ -22,7 +22,7 @@ _OTHER_VIDEOS = ('.cine', '.mxf', '.y4m')  # suffixes of videos that `mimetypes`
 _DEEP = re.compile(r'(?:9|1[0-6])(?:le|be)?$')  # pixel formats with more than 8 bits
 
 
-def is_video(path: str) -> bool:
+def is_video(path: str | Path) -> bool:
     """Return whether a path is a folder or has the suffix of a video or picture."""
     return Path(path).is_dir() or _kind(path) in ('video', 'image')
 
@@ -34,10 +34,17 @@ def read_pictures(path: str) -> Iterator[Picture]:
     Yield grey levels of shape (rows, columns), of all bits that the file has. Raise TrackError if
     the pictures cannot be read, or none exists.
     """
-    if not Path(path).exists():
+    files = [Path(path)]
+    if not files[0].exists():
         raise TrackError('No such file or directory')
+    if files[0].is_dir():
+        pictures = (item for item in files[0].iterdir() if _kind(item) == 'image')
+        files = sorted(pictures, key=_by_number)
+    if not files or not is_video(files[0]):
+        raise TrackError('must be a video or a folder of pictures')
     try:
-        yield from _pictures(path)
+        for file in files:
+            yield from _read_pages(file) if _kind(file) == 'image' else _read_video(file)
     except TrackError:
         raise
     except Exception as error:  # noqa: BLE001  whatever damaged bytes lead the libraries to
@@ -45,51 +52,24 @@ def read_pictures(path: str) -> Iterator[Picture]:
         raise TrackError(f'cannot be read by FFmpeg or Pillow: {reason}') from None
 
 
-def camera_rate(path: str) -> float | None:
-    """Return the frame rate of a .cine [Hz]; None for others, which have a rate of display."""
-    if not path.lower().endswith('.cine'):
-        return None
+def _read_video(path: Path) -> Iterator[Picture]:
+    """Read the pictures of a video, turned as players show them."""
+    import av
     from imageio import v3 as imageio
 
     _require_file(path)
-    return float(imageio.immeta(path, plugin='pyav')['fps'])
-
-
-def _pictures(path: str) -> Iterator[Picture]:
-    """Read pictures by imageio."""
-    from imageio import v3 as imageio
-
-    if Path(path).is_dir():
-        files = [item for item in Path(path).iterdir() if _kind(str(item)) == 'image']
-        if not files:
-            raise TrackError('there is no picture in this folder')
-        for file in sorted(files, key=_by_number):
-            yield from _read_pages(file)
-    elif _kind(path) == 'video':
-        _require_file(path)
-        with imageio.imopen(path, 'r', plugin='pyav') as video:
-            depth = str(video.metadata().get('video_format', ''))
-            # Phantom's pictures are upside down in memory, which PyAV does not notice unless they
-            # are converted, if only to bytes in another order
-            _check_size(video.properties(format='gray').shape)
-            deep = 'gray16be' if path.lower().endswith('.cine') else 'gray16le'
-            pixels = deep if _DEEP.search(depth) or deep == 'gray16be' else 'gray'
-            quarters = _quarter_turns(path)
-            for picture in video.iter(format=pixels):
-                yield from _grey(np.rot90(picture, quarters))
-    elif _kind(path) == 'image':
-        yield from _read_pages(Path(path))
-    else:
-        raise TrackError('must be a video or a folder of pictures')
-
-
-def _quarter_turns(path: str) -> int:
-    """Return the turns by 90 degrees, counterclockwise, with which players show a video."""
-    import av
-
-    with av.open(path) as container:
-        first = next(container.decode(video=0), None)
-        return 0 if first is None else round(first.rotation / 90.0)
+    with imageio.imopen(path, 'r', plugin='pyav') as video:
+        depth = str(video.metadata().get('video_format', ''))
+        # Phantom's pictures are upside down in memory, which PyAV does not notice unless they
+        # are converted, if only to bytes in another order
+        _check_size(video.properties(format='gray').shape)
+        deep = 'gray16be' if path.suffix.lower() == '.cine' else 'gray16le'
+        pixels = deep if _DEEP.search(depth) or deep == 'gray16be' else 'gray'
+        with av.open(str(path)) as container:
+            first = next(container.decode(video=0), None)
+            quarters = 0 if first is None else round(first.rotation / 90.0)
+        for picture in video.iter(format=pixels):
+            yield from _grey(np.rot90(picture, quarters))
 
 
 def _read_pages(path: Path) -> Iterator[Picture]:
@@ -103,7 +83,7 @@ def _read_pages(path: Path) -> Iterator[Picture]:
         yield from _grey(page)
 
 
-def _require_file(path: str | Path) -> None:
+def _require_file(path: Path) -> None:
     """Refuse a video or a picture that is not a regular file, which might block."""
     try:
         open_regular_file(path, max_bytes=_MAX_BYTES).close()
@@ -118,8 +98,8 @@ def _check_size(shape: Sequence[int]) -> None:
         raise TrackError(f'a picture may have {_MAX_PIXELS} pixels, got {columns} x {rows}')
 
 
-def _kind(path: str) -> str:
-    if path.lower().endswith(_OTHER_VIDEOS):
+def _kind(path: str | Path) -> str:
+    if str(path).lower().endswith(_OTHER_VIDEOS):
         return 'video'
     return (mimetypes.guess_type(path)[0] or '').partition('/')[0]
 

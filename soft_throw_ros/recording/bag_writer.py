@@ -1,15 +1,13 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Write bags: folders as rosbag2 makes them, with messages in MCAP files.
-
-Messages stay the bytes that came (see `cdr`); the files are written by the library `mcap`.
-"""
+"""Write bags: folders as rosbag2 makes them, with the received bytes in MCAP files."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+import contextlib
+import functools
 import io
 import math
 import os
@@ -22,13 +20,13 @@ from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
 from soft_throw_ros.storage.bag_folder import (
     dump_yaml,
+    load_profiles,
     lock_folder,
     METADATA_FILE,
-    profiles_of,
-    VERSION,
-    write_metadata,
+    METADATA_KEY,
 )
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.regular_file import atomic_file
 
 CHUNK_SIZE = 256 * 2**10
 """A chunk that has grown beyond this is compressed and written. [bytes]"""
@@ -36,19 +34,17 @@ CHUNK_SIZE = 256 * 2**10
 _CHUNK = bytes([Opcode.CHUNK])
 
 
-class BagWriter:
+class BagWriter(contextlib.AbstractContextManager['BagWriter']):
     """
-    A new bag opened for writing, whose folder must not exist; BagError is raised if it does.
+    A new bag opened for writing; its folder must not exist, and is locked (`flock`) until `close`.
 
-    Chunks are written as they fill up, and the last one at `flush`. From then on their messages
-    survive the end of this process, so call `flush` about once a second; with `sync` also a loss
-    of power. Every file can be read alone: it contains all channels so far. A new one is begun
-    beyond `max_size` [bytes] or `max_duration` [s], if these are not 0.
+    Messages survive the end of this process after `flush`, which should be called once a second;
+    with `sync` also a loss of power. Every file can be read alone. A new one is begun beyond
+    `max_size` [bytes] or `max_duration` [s], if these are not 0.
 
-    `wait_for_disk` is called with the reason if the disk does not take data; it waits, and returns
-    whether to try again, which is False by default. After any BagError the bag can only be closed.
-    `counts` are the numbers of messages in whole chunks on the disk. The folder is locked
-    (`flock`) while it is written.
+    `wait_for_disk` is called with the reason if the disk does not take data, and returns whether
+    to try again. After any BagError the bag can only be closed. `counts` are the numbers of
+    messages in whole chunks on the disk.
     """
 
     def __init__(
@@ -65,12 +61,13 @@ class BagWriter:
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
         self.counts: Counter[Channel] = Counter()
         self.written: Counter[Channel] = Counter()  # all messages, also those of the open chunk
-        self._distribution = distribution
+        self.saved_size = 0  # of all data handed to the operating system [bytes]
         self.compression = CompressionType[compression.upper()]
+        self._distribution = distribution
         self._max_size = max_size or math.inf
         self._max_duration = round(max_duration * 1e9) or math.inf
         self._sync = sync
-        self._error = ''  # after which the bag can only be closed
+        self._error = ''  # why nothing more can be written
         self._files: list[_File] = []
         try:
             self.folder.mkdir(parents=True)
@@ -78,7 +75,7 @@ class BagWriter:
             raise BagError(f'{folder} exists, and a bag is never overwritten') from None
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
-        # Only `is_being_written` can hold the lock of a new folder, and for a moment
+        # Only `check_not_written` can hold the lock of a new folder, and for a moment
         self._lock = lock_folder(self.folder)
         try:
             self._begin_file()
@@ -87,30 +84,12 @@ class BagWriter:
             shutil.rmtree(self.folder, ignore_errors=True)
             raise
 
-    def __enter__(self) -> BagWriter:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def saved_size(self) -> int:
-        """Size of all data handed to the operating system [bytes]."""
-        return sum(file.size for file in self._files)
-
     def write(self, message: Message) -> None:
-        """
-        Write a message, and with its channel's first one the channel.
-
-        BagError is raised if the bag is closed, or the disk does not take a chunk; ValueError, if
-        a time is negative or too large for ROS.
-        """
-        channel, data, log_time, publish_time, sequence = message
-        if not message.has_valid_times:
-            raise ValueError(
-                f'{channel.topic}: times must be at least 0 and below 2**63 ns, got {log_time} '
-                f'and {publish_time}'
-            )
+        """Write a message; BagError if the disk does not take it, ValueError for invalid times."""
+        channel, data, log_time, publish_time, sequence = message.checked()
         file = self._file()
         if log_time - file.first >= self._max_duration or file.size > self._max_size:
             self.split()
@@ -118,7 +97,7 @@ class BagWriter:
         self.written[channel] += 1
         file.count += 1
         file.first, file.last = min(file.first, log_time), max(file.last, log_time)
-        number = file.channels.get(channel) or file.define(channel)
+        number = file.number_of(channel)
         file.writer.add_message(number, log_time, data, publish_time, sequence & 0xFFFFFFFF)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -132,22 +111,14 @@ class BagWriter:
             self._begin_file()
 
     def flush(self) -> None:
-        """
-        Hand all messages so far to the system, which keeps them if this process is killed.
-
-        BagError is raised if the disk does not take them.
-        """
+        """Hand all messages so far to the system; BagError if the disk does not take them."""
         file = self._file()
         file.writer.flush()
         if self._sync:
             self.insist(file.path, os.fsync, file)
 
     def close(self) -> None:
-        """
-        Finish the bag; if it is closed already, do nothing.
-
-        BagError is raised if that fails; the bag is closed all the same, with all that was saved.
-        """
+        """Finish the bag; BagError if that fails, and the bag is closed all the same."""
         if self._lock >= 0:
             try:
                 self._finish_file()
@@ -168,8 +139,6 @@ class BagWriter:
 
     def _file(self) -> _File:
         """Return the present file; raise BagError if the bag is closed or has failed."""
-        if self._lock < 0:
-            raise BagError(f'{self.folder} is closed')
         if self._error:
             raise BagError(self._error)
         return self._files[-1]
@@ -181,22 +150,27 @@ class BagWriter:
         self._files.append(file)
         file.writer.start('ros2', f'soft_throw_ros {__version__}')
         for channel in self.written:
-            file.define(channel)
+            file.number_of(channel)
         self._write_metadata()
 
     def _finish_file(self) -> None:
         """Write the last chunk and the end of the present file."""
         self.flush()
-        file = self._file()
         information = {'serialized_metadata': dump_yaml(self._information())}
-        file.writer.add_metadata('rosbag2', information)
-        file.writer.finish()
+        self.add_metadata('rosbag2', information)
+        self._files[-1].writer.finish()
         self.flush()
-        file.close()
+        self._files[-1].close()
 
     def _write_metadata(self) -> None:
         path = self.folder / METADATA_FILE
-        self.insist(path, write_metadata, path, self._information())
+        text = dump_yaml({METADATA_KEY: self._information()})
+
+        def replace() -> None:
+            with atomic_file(path) as unfinished:
+                unfinished.write_text(text, encoding='utf-8')
+
+        self.insist(path, replace)
         if self._sync:
             self.insist(self.folder, os.fsync, self._lock)  # that there are such files
 
@@ -204,14 +178,14 @@ class BagWriter:
         for file in self._files[-1:]:
             file.close()
         os.close(self._lock)
-        self._lock = -1
+        self._lock, self._error = -1, f'{self.folder} is closed'
 
     def _information(self) -> dict[str, object]:
         """Return the metadata of the bag that rosbag2 expects as YAML."""
         first = min(file.first for file in self._files)
         last = max((file.last for file in self._files if file.count), default=first)
         return {
-            'version': VERSION,
+            'version': 9,  # of ROS 2 Jazzy and later
             'storage_identifier': 'mcap',
             'duration': {'nanoseconds': last - first},
             'starting_time': {'nanoseconds_since_epoch': first},
@@ -222,7 +196,10 @@ class BagWriter:
                         'name': channel.topic,
                         'type': channel.type,
                         'serialization_format': 'cdr',
-                        'offered_qos_profiles': profiles_of(channel.qos),
+                        'offered_qos_profiles': [
+                            profile for profile in load_profiles(channel.qos)
+                            if isinstance(profile.get('reliability'), str)  # as in version 9
+                        ],
                         'type_description_hash': channel.type_hash,
                     },
                     'message_count': count,
@@ -247,11 +224,7 @@ class BagWriter:
 
 
 class _File(io.BufferedWriter):
-    """
-    An MCAP file of the bag, and the stream of its `writer`.
-
-    Nothing is buffered, so that the size of all written records is known.
-    """
+    """An MCAP file of the bag, and the stream of its `writer`, which buffers nothing."""
 
     def __init__(self, path: Path, bag: BagWriter) -> None:
         super().__init__(io.FileIO(path, 'x'))
@@ -259,10 +232,10 @@ class _File(io.BufferedWriter):
         self.count = 0  # of messages
         self.first, self.last = LATEST, 0  # log times of messages [ns]
         self.size = 0  # [bytes]
-        self.channels: dict[Channel, int] = {}  # numbers of the defined ones
-        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._bag = bag
         self.writer = Writer(self, chunk_size=CHUNK_SIZE, compression=bag.compression)
+        self._schema = functools.cache(self.writer.register_schema)
+        self.number_of = functools.cache(self._define)  # of a channel, defined at the first call
 
     def write(self, data: Any) -> int:
         """Write data, waiting for the disk."""
@@ -270,19 +243,13 @@ class _File(io.BufferedWriter):
         while rest:
             count = self._bag.insist(self.path, self.raw.write, rest)
             self.size += count
+            self._bag.saved_size += count
             rest = rest[count:]
         if data[:1] == _CHUNK:  # the library writes it at once, and its index later
             self._bag.counts = self._bag.written.copy()
         return len(data)
 
-    def define(self, channel: Channel) -> int:
-        """Define a channel and its type, and return the number of the channel."""
-        schema = channel.type, channel.schema_encoding, channel.schema.encode()
-        if schema not in self._schemas:
-            self._schemas[schema] = self.writer.register_schema(*schema)
+    def _define(self, channel: Channel) -> int:
+        schema = self._schema(channel.type, channel.schema_encoding, channel.schema.encode())
         metadata = {'offered_qos_profiles': channel.qos, 'topic_type_hash': channel.type_hash}
-        number = self.writer.register_channel(
-            channel.topic, 'cdr', self._schemas[schema], metadata
-        )
-        self.channels[channel] = number
-        return number
+        return self.writer.register_channel(channel.topic, 'cdr', schema, metadata)

@@ -25,9 +25,6 @@ Bytes = NDArray[np.uint8]
 Marks = Iterable[tuple[str, float, float]]
 """Marked points: title, and values on both axes."""
 
-_DPI = 100
-"""Resolution of the images for Rerun, in pixels per inch, which suits a window of usual size."""
-
 _STYLE: dict[Any, Any] = {
     'axes.edgecolor': '#b0b0b0',
     'axes.labelcolor': 'white',
@@ -43,14 +40,8 @@ _STYLE: dict[Any, Any] = {
 # Both maps are for any eyes: PuOr of ColorBrewer where there are two signs, viridis for one.
 _SIGNED = mpl.colormaps['PuOr'].with_extremes(bad='#b0b0b0')
 
-_MAP_SIZE = 6.2, 2.5
-"""Width and height of the map of all layers. [inch]"""
-
-_MAP_COUNTS = {'thickness': 160, 'wave_speed': 100}
-"""Values on each axis of the finest map. [-]"""
-
-_TIME_BUDGET = 1.0
-"""The finest map is chosen that needs no longer: too heavy a projectile takes minutes. [s]"""
+_MAP_COUNTS = 16, 32, 64, 128  # points on both axes; the finest map in `_TIME_BUDGET` is taken [-]
+_TIME_BUDGET = 1.0  # for the map: too heavy a projectile would take minutes [s]
 
 
 def draw_map(
@@ -64,11 +55,10 @@ def draw_map(
     marks: Marks = (),
 ) -> None:
     """
-    Draw values over two axes as colours, with a bar of colours and up to two marks.
+    Draw values, shape (n, m), over two axes as colours from 0 to `highest`; NaN where are none.
 
-    `axes` are the points of two axes, spaced evenly or by a constant factor, by title and unit.
-    `values`, shape (n, m), are along the first and the second axis, from 0 to `highest`, or the
-    largest one; NaN where there are none. The titles of marks are for a legend.
+    `axes` are their points, spaced evenly or by a constant factor, by title and unit. The titles
+    of at most two marks are for a legend.
     """
     image = panel.pcolormesh(
         *axes.values(), values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'
@@ -92,37 +82,34 @@ def draw_map(
 
 def draw_energy_map(values: Values, settings: Settings) -> Figure:
     """
-    Draw alpha over layers, with marks at that of the rig and at the recommended one.
+    Draw alpha over the layers within the limits of the settings, and mark two of them.
 
-    `values` are those of `~/recommendation`, with its rig. The limits in the settings of the twin,
-    and the marks, select the layers.
+    `values` are those of `~/recommendation`, with its rig and the recommended layer.
     """
     rig = rig_of({**TWIN.defaults(), **{name: values[name] for name in rig_values(Rig())}})
     lossless = replace(rig, layer=Layer(density=rig.layer.density, diameter=rig.layer.diameter))
     layers = {'now': (rig.layer.thickness, rig.layer.wave_speed)}
-    match [values.get(name) for name in _MAP_COUNTS]:
+    match values.get('thickness'), values.get('wave_speed'):
         case float(thickness), float(wave_speed):
             layers['recommended'] = thickness, wave_speed
-    limits = []
-    for name, marked in zip(_MAP_COUNTS, zip(*layers.values(), strict=True), strict=True):
-        low, high = (settings[f'recommendation.{name}_{limit}'] for limit in ('min', 'max'))
-        limits.append((min(low, *marked), max(high, *marked)))
-    for coarseness in (8, 4, 2, 1):
+    corners = [
+        [settings[f'recommendation.{name}_{end}'] for name in ('thickness', 'wave_speed')]
+        for end in ('min', 'max')
+    ]
+    low, high = (function([*corners, *layers.values()], axis=0) for function in (np.min, np.max))
+    for count in _MAP_COUNTS:
         begin = time.monotonic()
-        thicknesses, wave_speeds = (
-            np.geomspace(*ends, count // coarseness)
-            for ends, count in zip(limits, _MAP_COUNTS.values(), strict=True)
-        )
+        thicknesses, wave_speeds = np.geomspace(low, high, count, axis=1)
         layers_of_map = {'thickness': thicknesses[:, None], 'wave_speed': wave_speeds}
         transfer = throw_many(lossless, layers_of_map).energy_transfer
         # Duration of the next grid; the first one loads the kernels
-        if coarseness < 8 and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
+        if count > _MAP_COUNTS[0] and 4.0 * (time.monotonic() - begin) > _TIME_BUDGET:
             break
     axes = {'Lₛ (mm)': 1e3 * thicknesses, 'cₛ (m/s)': wave_speeds}
     marks = [(name, 1e3 * thickness, speed) for name, (thickness, speed) in layers.items()]
     title = 'α, lossless' if rig.layer.loss_tangent else 'α'
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=_MAP_SIZE, layout='constrained')
+        figure = Figure(figsize=(6.2, 2.5), layout='constrained')
         draw_map(figure.subplots(), axes, transfer, label=title, marks=marks)
         figure.legend(loc='outside upper center', ncols=2)
     return figure
@@ -134,7 +121,7 @@ def signed_colours(values: Floats, limit: float) -> Bytes:
     return np.ascontiguousarray(_SIGNED(scaled, bytes=True)[..., :3])
 
 
-def to_png(figure: Figure, *, dpi: float = _DPI) -> bytes:
+def to_png(figure: Figure, *, dpi: float = 100.0) -> bytes:
     """Return a figure as PNG."""
     output = io.BytesIO()
     figure.savefig(output, format='png', dpi=dpi, metadata={'Software': None})

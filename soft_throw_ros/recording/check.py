@@ -4,20 +4,18 @@
 Comparison of a bag with the session that its own journal repeats.
 
 The journal has the inputs of a twin, and checksums and results of its steps. The session is
-repeated from the inputs. Every recorded state is compared with the repeated one of the same stamp,
-and every checksum and result with the repeated one, to the last bit. Sessions of other versions
-are not compared, because these compute other last bits.
+repeated from the inputs, and every recorded state of the same stamp, checksum and result is
+compared to the last bit. Other versions are refused, because they compute other last bits.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-import struct
 
 import numpy as np
-from soft_throw_ros.configuration.interface import find_topic, JOINTS, TWIN_TOPICS
+from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
 from soft_throw_ros.recording.twin_journal import DECODING_ERRORS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
@@ -26,11 +24,7 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-MAX_STEPS_BETWEEN_LINES = 20_000
-"""Largest number of steps from one line of a journal to the next [-]: checksums come every second,
-which has 5000 steps at the highest rate."""
-
-_STATE = struct.Struct(f'<{len(State._fields)}d')
+MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come every second, after 5000 steps at most [-]
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
@@ -71,14 +65,14 @@ class CheckResult:
         """Return lines for people to read."""
         lines = [self.reason] if self.reason else []
         if self.differences or not self.reason:
-            for name, count, unit in (
-                ('states', self.states, ''),
-                ('results and checksums', self.results, 'lines of the journal '),
-            ):
-                lines.append(
-                    f'{name}: {count.same} are the same to the last bit, {count.different} are '
-                    f'different, {count.missing} {unit}are not in the bag'
+            lines += [
+                f'{name}: {count.same} are the same to the last bit, {count.different} are '
+                f'different, {count.missing} {unit}are not in the bag'
+                for name, count, unit in (
+                    ('states', self.states, ''),
+                    ('results and checksums', self.results, 'lines of the journal '),
                 )
+            ]
         lines += [f'different: {sentence}' for sentence in self.differences[:_SHOWN]]
         if len(self.differences) > _SHOWN:
             lines.append(f'different: and {len(self.differences) - _SHOWN} more')
@@ -86,11 +80,10 @@ class CheckResult:
 
     def count(self, count: Count, where: str, difference: str) -> None:
         """Count a comparison, with a description of the difference if there is one."""
+        count.same += not difference
+        count.different += bool(difference)
         if difference:
-            count.different += 1
             self.differences.append(f'{where}: {difference}')
-        else:
-            count.same += 1
 
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
@@ -111,24 +104,20 @@ def check_bag(reader: BagReader) -> list[CheckResult]:
 
 
 class _Check:
-    """
-    The check of one twin: its session is repeated line by line of the journal.
-
-    Lines without a gap are repeated from the start of a session or of a throw, because these lines
-    have all that is needed to go on.
-    """
+    """The check of one twin; its lines are repeated from the start of a session or a throw on."""
 
     def __init__(self, reader: BagReader, node: str) -> None:
         self._reader = reader
         self._node = node
         self._result = CheckResult(twin=node)
-        self._states: dict[int, list[bytes]] = {}  # recorded ones by stamp [ns]
+        self._states: dict[int, list[bytes]] = defaultdict(list)  # recorded ones by stamp [ns]
+        self._unreadable: list[str] = []
         self._is_repeated = False
 
     def run(self) -> CheckResult:
         """Repeat the journal, and return the result."""
         result, lines, last = self._result, deque[journal.Entry](), -1
-        unreadable = self._read_states()
+        self._read_states()
         topic = TWIN_TOPICS.journal.at(self._node).name
         for message in self._reader.messages([topic], by_log_time=False):
             try:
@@ -147,24 +136,20 @@ class _Check:
         self._repeat_all(lines)
         if not self._is_repeated:
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
-        elif unreadable:
-            result.states.different += unreadable
-            result.differences.append(f'{unreadable} messages are no state of the rig')
+            return result
+        for difference in self._unreadable:
+            result.count(result.states, 'states', difference)
         return result
 
-    def _read_states(self) -> int:
-        """Read the recorded states; return the number of messages that are none."""
-        reader, unreadable = JointStateReader(), 0
+    def _read_states(self) -> None:
+        reader = JointStateReader()
         for message in self._reader.messages([TWIN_TOPICS.joint_states.at(self._node).name]):
             try:
                 (stamp,), _, *series = reader.read_all([message.data])
-            except MessageError:
-                series = []
-            if [numbers.size for numbers in series] == [len(JOINTS)] * 3:
-                self._states.setdefault(int(stamp), []).append(np.hstack(series).tobytes())
-            else:
-                unreadable += 1
-        return unreadable
+                state = np.array(series).reshape(len(State._fields))
+                self._states[int(stamp)].append(state.tobytes())
+            except ValueError as error:
+                self._unreadable.append(f'a message is no state of the rig, {error!s:.200}')
 
     def _repeat_all(self, lines: deque[journal.Entry]) -> None:
         """Repeat lines without a gap, from the next throw on if some cannot be repeated."""
@@ -237,8 +222,8 @@ class _Check:
             self._result.states.missing += not rows
             for row in rows:
                 difference = ''
-                if row != _STATE.pack(*item.state):
-                    recorded = State(*_STATE.unpack(row))._asdict()
+                if row != journal.STATE.pack(*item.state):
+                    recorded = State(*journal.STATE.unpack(row))._asdict()
                     difference = _first_difference(recorded, item.state._asdict())
                     difference = difference or 'other bits of a value'
                 self._result.count(self._result.states, f'states: step {item.step}', difference)

@@ -17,9 +17,8 @@ _BIND_TO_PARENT = (
 
 def bound_to_parent(command: Sequence[str]) -> list[str]:
     """
-    Return a command that starts another one, which Linux kills when this process ends.
+    Return a command that starts another one, which Linux kills however this process ends.
 
-    That holds however this process ends. The main thread must start the command, since Linux
-    watches the thread that starts a process. A command is a program and its arguments.
+    The main thread must start it, since Linux watches the thread that starts a process.
     """
     return [sys.executable, '-I', '-S', '-c', _BIND_TO_PARENT, str(os.getpid()), *command]

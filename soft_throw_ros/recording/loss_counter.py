@@ -11,17 +11,10 @@ class LossCounter:
     """
     Number of lost messages of one topic.
 
-    Notes
-    -----
-    A publisher numbers its messages from 1 on. Gaps after its first received message are losses.
-    Latched messages may come later than a new one, and are not missing then.
-
-    Before ROS 2 Kilted, the middleware does not identify the publisher of a message. From the
-    discovery of a second publisher on, and for messages without numbers, only the losses count
-    that the middleware reports.
-
-    One thread calls `add`, and another one may call `update`.
-
+    Gaps in the numbers of a publisher after its first received message are losses; latched
+    messages may come late. Before ROS 2 Kilted, the middleware does not identify the publisher of
+    a message. From the discovery of a second publisher on, and for messages without numbers, only
+    the losses count that the middleware reports. One thread calls `add`, and another `update`.
     """
 
     def __init__(self) -> None:

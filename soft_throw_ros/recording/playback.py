@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-The schedule of a playback, without a clock or a sleep.
-
-The caller passes the time of its own clock in nanoseconds, which must not go back. Deadlines are
-absolute, so a delay does not postpone later messages.
-"""
+"""The schedule of a playback by the clock of the caller in nanoseconds, which never goes back."""
 
 from __future__ import annotations
 
@@ -15,11 +10,8 @@ import math
 
 from soft_throw_ros.storage.message import Message
 
-MAX_CATCH_UP = 100_000_000
-"""Largest delay that is caught up; after a longer stall later messages are postponed. [ns]"""
-
-SHORTEST_LOOP = 1_000_000
-"""Shortest period of repetition, for very short recordings. [ns]"""
+MAX_CATCH_UP = 100_000_000  # delay beyond which later messages are postponed [ns]
+SHORTEST_LOOP = 1_000_000  # period of repetition of very short recordings [ns]
 
 
 class PlaybackSchedule:
@@ -44,15 +36,15 @@ class PlaybackSchedule:
         self.rate = rate
         self.is_paused = True
         self._begin = begin_ns
-        self._loop_length = end_ns - begin_ns
+        self._length = end_ns - begin_ns
         if is_looping:  # the beginning must come later than the end
-            self._loop_length = max(self._loop_length + 1, SHORTEST_LOOP)
+            self._length = max(self._length + 1, SHORTEST_LOOP)
         self._is_looping = is_looping
         # Times of the recording count from its beginning, and continue through repetitions.
         # At the caller's time `_now`, the time of the recording was `_passed`.
         self._now = self._passed = 0
         self._coming = self._repeat(messages)
-        self._next_time, self._next = next(self._coming, (0, None))
+        self._next_time, self._next = next(self._coming, (self._length, None))
 
     @property
     def is_over(self) -> bool:
@@ -62,11 +54,8 @@ class PlaybackSchedule:
     def time(self, now: int) -> int:
         """Return the time of the recording, at most that of the next message [ns]."""
         passed = self._passed_by(now)
-        if self.is_over:
-            passed = min(passed, self._loop_length)
-        elif self._is_looping:
-            passed %= self._loop_length
-        return self._begin + passed
+        is_repeated = self._is_looping and not self.is_over
+        return self._begin + (passed % self._length if is_repeated else passed)
 
     def deadline(self) -> int | None:
         """Return when the next message is due, None if paused or over [ns]."""
@@ -81,14 +70,13 @@ class PlaybackSchedule:
             return None
         self._now += max(now - deadline - MAX_CATCH_UP, 0)
         message = self._next
-        self._next_time, self._next = next(self._coming, (self._next_time, None))
+        self._next_time, self._next = next(self._coming, (self._length, None))
         return message
 
     def pause(self, now: int) -> None:
         """Pause playback."""
-        if not self.is_paused:
-            self._now, self._passed = now, self._passed_by(now)
-            self.is_paused = True
+        self._now, self._passed = now, self._passed_by(now)
+        self.is_paused = True
 
     def resume(self, now: int) -> None:
         """Resume playback."""
@@ -97,10 +85,9 @@ class PlaybackSchedule:
             self.is_paused = False
 
     def _passed_by(self, now: int) -> int:
-        passed = self._passed
-        if not self.is_paused:
-            passed += max(int((now - self._now) * self.rate), 0)
-        return max(passed if self.is_over else min(passed, self._next_time), 0)
+        """Return the time of the recording since its beginning [ns]."""
+        passed = 0 if self.is_paused else max(int((now - self._now) * self.rate), 0)
+        return min(self._passed + passed, self._next_time)
 
     def _repeat(
         self, messages: Callable[[], Iterable[Message]]
@@ -109,6 +96,6 @@ class PlaybackSchedule:
         for loop in itertools.count():
             message = None
             for message in messages():
-                yield loop * self._loop_length + message.log_time - self._begin, message
+                yield loop * self._length + message.log_time - self._begin, message
             if message is None or not self._is_looping:
                 return

@@ -5,14 +5,15 @@
 from __future__ import annotations
 
 from collections import Counter
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 import shutil
 
 from mcap import records as mcap
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.storage.bag_folder import is_being_written
-from soft_throw_ros.storage.bag_reader import BagFolder, open_mcap, read_records
+from soft_throw_ros.storage.bag_folder import BagFolder, check_not_written
+from soft_throw_ros.storage.bag_reader import open_mcap, read_records
 from soft_throw_ros.storage.message import BagError, Message
 
 
@@ -21,44 +22,35 @@ class Recovery:
     """The result of a recovery."""
 
     target: Path  # the new bag
-    saved: dict[str, int]  # numbers of recovered messages by topic
+    saved: Counter[str]  # numbers of recovered messages by topic
     omitted: tuple[str, ...]  # missing files, and ends of files from the first damage on
-
-    @property
-    def message_count(self) -> int:
-        """Number of all messages that were saved."""
-        return sum(self.saved.values())
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """
-    Write all before the first damage in each file of a bag into a new bag of one file.
+    Write all before the first damage in each file of a bag, without attachments, into a new bag.
 
-    The messages keep their order, times and numbers, and the metadata their order; attachments are
-    left out. BagError is raised, and there is no new bag, if nothing can be recovered, the bag is
-    being written, or the new one exists or cannot be written.
+    BagError is raised, and there is no new bag, if nothing can be recovered, the bag is being
+    written, or the new one exists or cannot be written.
     """
     source, target = Path(source), Path(target)
-    if is_being_written(source):
-        raise BagError(f'{source} is being written; stop the recorder before')
+    check_not_written(source)
     if target.resolve().is_relative_to(source.resolve()):
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
-    writer = BagWriter(target, distribution=folder.distribution)
-    try:
-        with writer:
-            ends = [_copy(path, writer) for path in folder.files]
-    except BaseException:
-        shutil.rmtree(target, ignore_errors=True)
-        raise
-    omitted = [*filter(None, ends), *folder.defects]
-    saved = Counter[str]()
-    for channel, count in writer.counts.items():
-        saved[channel.topic] += count
-    if not saved.total():
-        shutil.rmtree(target, ignore_errors=True)
-        raise BagError(f'{omitted[0] if omitted else source}; there is no message to recover')
-    return Recovery(target=target, saved=dict(saved), omitted=tuple(omitted))
+    saved, omitted = Counter[str](), [f'{path}: missing or empty' for path in folder.defects]
+    with contextlib.ExitStack() as incomplete, BagWriter(
+        target, distribution=folder.distribution
+    ) as writer:
+        incomplete.callback(shutil.rmtree, target, ignore_errors=True)
+        omitted += [end for path in folder.files if (end := _copy(path, writer))]
+        for channel, count in writer.written.items():
+            saved[channel.topic] += count
+        if not saved:
+            raise BagError(f'{omitted[0] if omitted else source}; there is no message to recover')
+        writer.close()
+        incomplete.pop_all()
+    return Recovery(target=target, saved=saved, omitted=tuple(omitted))
 
 
 def _copy(path: Path, writer: BagWriter) -> str:

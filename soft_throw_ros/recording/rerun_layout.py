@@ -88,20 +88,16 @@ _PLOTS = {
 _Panel = tuple[float, str, Any, str, dict[str, Any]]
 """Share of the height of its column, entity, kind of view, title, and options of the view."""
 
-_OPTIONAL = {'energy', 'residual', 'track', LOG}
+_OPTIONAL = {'energy', 'residual', LOG}
 """Panels that are left out while they would be empty."""
 
 STRAIN_WIDTH = 4.0
 """Width of the picture of the strain over time, whose height is 1, in its view."""
 
 _STRAIN = rrb.VisualBounds2D(x_range=[-0.5, STRAIN_WIDTH + 0.9], y_range=[-0.4, 1.3])
-"""Section of this view, whose vertical axis points downwards."""
 
-_BEFORE, _AFTER = 0.7, 1.8
-"""Time that plots show before and after the cursor. [periods of the plate]"""
-
-_LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0
-"""Time that live plots show: [periods of the plate], and at least [s]."""
+_BEFORE, _AFTER = 0.7, 1.8  # that plots show before and after the cursor [periods of the plate]
+_LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0  # that live plots show [periods of the plate], [s] at least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +109,6 @@ class TwinLayout:
     period: float  # of the plate, on the timeline that is shown [s]
     diameter: float  # of the layer [mm]
     height: float  # of the side view above the plate [mm]
-    residual_limit: float  # beyond which the model is reported as wrong [um]
     present: set[str]  # optional panels that are there
 
 
@@ -143,10 +138,8 @@ def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
         rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-before, after)
     )
     window = rrb.TimeAxis(view_range=rr.TimeRange(start=begin, end=end))
-    half, limit = 1.25 * twin.diameter, twin.residual_limit
-    side = rrb.VisualBounds2D(
-        x_range=[-half, half], y_range=[-twin.height, 0.4 * twin.diameter]
-    )
+    half = 1.25 * twin.diameter
+    side = rrb.VisualBounds2D(x_range=[-half, half], y_range=[-twin.height, 0.32 * half])
     hidden = [rrb.encodings.TimelineColumn(name, visible=False) for name in (STAMP, THROW_TIME)]
     log = rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=['LogLevel', 'Body'])
     picture, text = rrb.Spatial2DView, rrb.TextDocumentView
@@ -154,7 +147,6 @@ def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     def plot(entity: str, title: str) -> _Panel:
         return 3.0, entity, rrb.TimeSeriesView, title, {
             'axis_x': window,
-            'axis_y': rrb.ScalarAxis(range=(-limit, limit)) if entity == 'residual' else None,
             'plot_legend': rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
         }
 
@@ -180,7 +172,6 @@ def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
             (2.7, 'strain', picture, 'Strain ε(y, t) in the throw', {'visual_bounds': _STRAIN}),
             (3.5, 'landscape', picture, 'Energy transfer α(Lₛ, cₛ)', {}),
             (4.15, 'recommendation', text, 'Recommended layer', {}),
-            (1.9, 'track', text, 'Measured track', {}),
             (2.25, LOG, rrb.TextLogView, 'Log', {'columns': log}),
         ),
         column_shares=[2.5, 4.2, 4.2], name=twin.title,

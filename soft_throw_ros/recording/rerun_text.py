@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Texts and tables (Markdown) about a throw, the recommended layer and the measured track."""
+"""Texts and tables (Markdown) about a throw and the recommended layer."""
 
 from __future__ import annotations
 
@@ -36,19 +36,16 @@ _LAYER_ROWS = (
 
 _STAGES = {'final': 'in all', 'predicted': 'as it will be'}
 
-_VARIED = ('thickness', 'wave_speed')
-"""Quantities of which one alone is varied, each in a column."""
-
 
 def throw_text(values: Values) -> str:
     """Return the results of a throw with their errors."""
-    number, strain, limit = (values.get(key) for key in ('throw', 'peak_strain', 'max_strain'))
-    title = f'**Throw {f"{number:.0f}" if isinstance(number, float) else "?"}**'
+    stage = _STAGES.get(str(values.get('stage')), 'up to the release')
     rows = [name for name in _THROW_ROWS if values.get('recontacts') or name[:5] != 'last_']
-    text = f'{title}, {_STAGES.get(str(values.get("stage")), "up to the release")}\n\n'
+    text = f'**Throw {float(values.get("throw", math.nan)):.0f}**, {stage}\n\n'
     text += _table(values, rows, {'twin': ''})
-    if isinstance(strain, float) and isinstance(limit, float) and strain > limit:
-        text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
+    match values.get('peak_strain'), values.get('max_strain'):
+        case float(strain), float(limit) if strain > limit:
+            text += f'\nStrain beyond {100.0 * limit:.3g} %: a real layer is no longer linear.\n'
     return text
 
 
@@ -57,18 +54,10 @@ def recommendation_text(message: str, values: Values) -> str:
     if 'now.thickness' not in values:
         return f'{message}\n'
     vary = values.get('vary')
-    others = {f'other {name.replace("_", " ")}': f'by_{name}.' for name in _VARIED if name != vary}
+    others = {'other thickness': 'by_thickness.', 'other wave speed': 'by_wave_speed.'}
+    others.pop(f'other {vary}'.replace('_', ' '), None)
     best = values.get('layer') or vary
     return _table(values, _LAYER_ROWS, {'now': 'now.', **others, f'**{best}**': ''})
-
-
-def track_text(task: str, message: str, values: Values) -> str:
-    """Return a line with the status of the measured track, its outliers and its warnings."""
-    notes = [f'**{task.capitalize()}**: {message}'.replace('+-', '±')]
-    if outliers := values.get('samples_jumped') or values.get('outliers'):
-        notes.append(f'{outliers:g} samples left out')
-    notes += [str(value) for key, value in values.items() if key.startswith('warning')]
-    return '; '.join(notes)
 
 
 def _table(values: Values, rows: Sequence[str], columns: Mapping[str, str]) -> str:

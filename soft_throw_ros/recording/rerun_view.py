@@ -3,8 +3,7 @@
 """
 Twins in Rerun: the rig to scale, series, waves in the layer, the best layer, and texts.
 
-All times are stamps. A message without a stamp (a line of the journal or of the log) was published
-right after the state message of its step, and gets the stamp of this state message.
+All times are stamps; a message without one gets that of the state published right before it.
 """
 
 from __future__ import annotations
@@ -42,31 +41,23 @@ from soft_throw_ros.storage.cdr import (
 from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
-_MILLI, _MICRO = 1e3, 1e6
+_MILLI = 1e3
 
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
-
-_TRACK_TASKS = ('measurement', 'model', 'identification')
-"""Tasks in /diagnostics about a measured track."""
 
 _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
 
 
 class _Canvas:
-    """
-    A tree of entities in a recording.
-
-    The start of `throw` is the origin of `THROW_TIME`; without it, there is only `STAMP`. `delay`
-    is added to all stamps [ns].
-    """
+    """A tree of entities; without a `throw`, the origin of `THROW_TIME`, it has only `STAMP`."""
 
     def __init__(
         self, stream: rr.RecordingStream, root: str, throw: ThrowStart | None, *, is_live: bool
     ) -> None:
         self.root = root
         self.throw = throw
-        self.delay = 0
+        self.delay = 0  # which is added to all stamps [ns]
         self.is_drawn = False  # topics with these names may belong to another machine
         self._stream = stream
         self._is_live = is_live
@@ -76,11 +67,7 @@ class _Canvas:
         self._stream.log(f'{self.root}/{name}', style, static=True)
 
     def draw(self, name: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
-        """
-        Draw content that holds until an entity gets other content.
-
-        In a live view, content that `stays` is kept for viewers that connect much later.
-        """
+        """Draw until other content comes; what `stays` in a live view reaches late viewers."""
         self.is_drawn = True
         stamp += self.delay
         self._stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
@@ -100,11 +87,7 @@ class _Canvas:
 
 
 class Scene:
-    """
-    The drawing of all twins.
-
-    A live drawing shows the latest messages; else times count from the start of `throw`.
-    """
+    """The drawing of all twins: live, or with times that count from the start of `throw`."""
 
     def __init__(
         self, stream: rr.RecordingStream, *, is_live: bool = False, throw: ThrowStart | None = None
@@ -117,11 +100,6 @@ class Scene:
         self._canvas = self._new_canvas('')
         self._twins: dict[str, _TwinView] = {}
         self._arranged: list[layout.TwinLayout] = []
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing has come that could be drawn."""
-        return not self._drawn_twins()
 
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
@@ -144,11 +122,10 @@ class Scene:
 
     def arrange(self) -> None:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
-        has_log, throw = self._canvas.is_drawn, self._canvas.throw
-        twins = [twin.layout_state(has_log=has_log) for twin in self._drawn_twins()]
+        twins = [twin.layout_state(self._canvas) for twin in self.drawn_twins()]
         if twins != self._arranged:
             self._arranged = twins
-            timeline = layout.STAMP if throw is None else layout.THROW_TIME
+            timeline = layout.STAMP if self._canvas.throw is None else layout.THROW_TIME
             self._stream.send_blueprint(layout.arrange(twins, timeline, is_live=self._is_live))
 
     def _twin(self, node: str) -> _TwinView:
@@ -157,17 +134,18 @@ class Scene:
             self._twins[node] = _TwinView(node, self._new_canvas(root))
         return self._twins[node]
 
-    def _drawn_twins(self) -> list[_TwinView]:
+    def drawn_twins(self) -> list[_TwinView]:
+        """Return the twins of which anything could be drawn."""
         return [twin for twin in self._twins.values() if twin.canvas.is_drawn]
 
     def _draw(self, node: str, groups: Mapping[Topic, Sequence[Message]]) -> None:
         """Draw messages of one node, or messages that belong to no node."""
         drawer = self._twin(node) if node else self
         for topic in [topic for topic in _DRAWERS if topic in groups]:
-            draw, messages = partial(_DRAWERS[topic], drawer), groups[topic]
-            at_once = len(messages) if topic.type == JOINT_STATE else 1
-            for first in range(0, len(messages), at_once):
-                self._attempt(draw, messages[first:first + at_once])
+            messages = groups[topic]
+            batches = [messages] if topic.type == JOINT_STATE else [[item] for item in messages]
+            for batch in batches:
+                self._attempt(partial(_DRAWERS[topic], drawer), batch)
 
     def _attempt(self, draw: Callable[..., None], messages: Sequence[Message]) -> None:
         """Draw messages at once, or individually if one is damaged or different."""
@@ -185,19 +163,10 @@ class Scene:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
         line = decode(message)
         stamp = _to_ns(line.stamp)
-        for twin in self._drawn_twins()[:1]:
+        for twin in self.drawn_twins()[:1]:
             stamp = twin.stamp_of(message) + twin.canvas.delay
         level = rr.LoggingHandler.LVL2NAME.get(line.level)
         self._canvas.draw(layout.LOG, stamp, rr.TextLog(f'{line.name}: {line.msg}', level=level))
-
-    def draw_diagnostics(self, message: Message) -> None:
-        """Show diagnostics of a measured track, from a twin or from its calibrator."""
-        for stamp, status, values in _read_statuses(message):
-            node, _, task = str(status.name).rpartition(': ')
-            for name, twin in self._twins.items():
-                is_beside = name.rpartition('/')[0] == node.rpartition('/')[0]
-                if name == node or (is_beside and task == 'identification'):
-                    twin.draw_track(stamp, task, status, values)
 
 
 class _TwinView:
@@ -210,25 +179,19 @@ class _TwinView:
         self._node = node
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
-        self._largest_strain = 0.2  # where the colours end; until the first throw a usual one [-]
-        self._track: dict[str, str] = {}  # texts by the task of a node
         self._present: set[str] = set()  # optional panels that are there
         self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
+        self._layer_at_rest: tuple[rr.AsComponents, ...] = ()
         phases, colours = zip(*layout.PHASES.items(), strict=True)
         canvas.style('phase', rr.StateConfiguration(values=phases, colors=colours))
         for name, line in layout.LINES.items():
             widths = np.broadcast_to(line.widths, len(line.names))
             lines = rr.SeriesLines(names=line.names, colors=line.colours, widths=widths)
             canvas.style(name, lines)
-        pixels = rr.components.ImageFormat(
-            width=1, height=FIELD_POINTS, color_model='RGB', channel_datatype='U8'
-        )
-        layer = rr.Image.from_fields(format=pixels, magnification_filter='linear')
-        canvas.style('side/plate/layer', layer)
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
         canvas.style('strain/now', cursor)
 
-    def layout_state(self, *, has_log: bool) -> layout.TwinLayout:
+    def layout_state(self, log: _Canvas) -> layout.TwinLayout:
         """Return the state of the layout."""
         twin = self._journal
         scale = twin.time_scale if self.canvas.throw is None else 1.0
@@ -238,8 +201,7 @@ class _TwinView:
             period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
             diameter=self._diameter,
             height=self._height,
-            residual_limit=_MICRO * twin.settings['measured.residual_threshold'],
-            present=self._present | ({layout.LOG} if has_log else set()),
+            present=self._present | ({layout.LOG} if log.is_drawn else set()),
         )
 
     def step_back(self, state: Message) -> int:
@@ -257,12 +219,7 @@ class _TwinView:
     # plots
 
     def draw_joints(self, *messages: Message, topic: Topic) -> None:
-        """
-        Draw the lines of a topic, NaN for a joint without values; states move the bodies.
-
-        Measured positions are relative to rest, at times by the clock of the twin; they are not
-        drawn while the rest is unknown.
-        """
+        """Draw the lines of a topic, relative to rest if measured; states move the bodies."""
         joints, twin = self._read_joints(messages), self._journal
         names = [twin.settings[f'joint_names.{joint}'] for joint in topic.joints]
         values = {name: getattr(joints, name) for name in topic.quantities}
@@ -294,9 +251,10 @@ class _TwinView:
         """Draw the energies of the throw under way."""
         (rows,), throw = _read_cloud(message, TWIN_TOPICS.throw_energies), self._journal.throw
         if throw is not None:
-            stamps, end = throw.stamps_at(rows[:, 0]), np.full((1, rows.shape[1] - 1), math.nan)
+            stamps = throw.stamps_at(rows[:, 0])
             stamps = np.append(stamps, stamps[-1] + 1)  # a line ends there, by NaN
-            self._draw_lines('energy', stamps, np.vstack([rows[:, 1:], end]))
+            values = np.pad(rows[:, 1:], ((0, 1), (0, 0)), constant_values=math.nan)
+            self._draw_lines('energy', stamps, values)
 
     def draw_phases(self, *messages: Message) -> None:
         """Draw phases at the times of their starts."""
@@ -334,29 +292,9 @@ class _TwinView:
             'projectile/text': _texts((diameter, -0.5 * length, 'projectile')),
         }.items():
             self.canvas.draw(f'side/{name}', stamp, *content, stays=True)
-
-    def draw_layer(self, *messages: Message) -> None:
-        """Draw the strain of the layer between its ends."""
-        joints, rig = self._read_joints(messages), self._journal.rig
-        height = joints.position
-        if height.shape[1] != FIELD_POINTS:
-            raise MessageError(f'a layer of {FIELD_POINTS} joints, got {height.shape[1]}')
-        if rig is not None:
-            step = rig.layer.thickness / (FIELD_POINTS - 1)
-            strain = np.asarray(np.gradient(height, step, axis=1) - 1.0)
-            self._stretch_layer(joints.stamps, height[:, -1] - height[:, 0], strain)
-
-    def _stretch_layer(self, stamps: Stamps, length: Floats, strain: Floats) -> None:
-        """Draw the colours of the strain, stretched over the length of the layer [m]."""
-        pixels = charts.signed_colours(strain[:, ::-1], self._largest_strain)
-        corner, scale = np.zeros((length.size, 3)), np.ones((length.size, 3))
-        corner[:, 0], corner[:, 1] = -0.5 * self._diameter, -_MILLI * length
-        scale[:, 0], scale[:, 1] = self._diameter, _MILLI * length / FIELD_POINTS
-        columns = [
-            *rr.Image.columns(buffer=[row.tobytes() for row in pixels]),
-            *rr.Transform3D.columns(translation=corner, scale=scale),
-        ]
-        self.canvas.columns('side/plate/layer', stamps, columns)
+        rest, white = _MILLI * rig.rest_height, np.full((FIELD_POINTS, 1, 3), WHITE, np.uint8)
+        self._layer_at_rest = _picture(white, -0.5 * diameter, -rest, diameter, rest)
+        self.canvas.draw('side/plate/layer', stamp, *self._layer_at_rest)
 
     def draw_field(self, message: Message) -> None:
         """Draw the strain of the throw under way over time and height, and in the layer."""
@@ -365,8 +303,7 @@ class _TwinView:
             return
         times, heights, strain = points[:, 0, 0], points[0, :, 1], points[..., 2]
         ejection_time, end = throw.ejection_time or math.inf, times[-1]
-        largest = float(np.abs(strain[times <= ejection_time]).max())
-        self._largest_strain = limit = max(largest, 1e-6)
+        limit = max(float(np.abs(strain[times <= ejection_time]).max()), 1e-6)
         stamps, width = throw.stamps_at(times), layout.STRAIN_WIDTH
         pixels = charts.signed_colours(strain.T[::-1], limit)
         pixels[:, times.searchsorted(ejection_time):][:, :1] = 0  # a black line
@@ -389,11 +326,20 @@ class _TwinView:
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
         cursors[:, :, 0] = (width * times / end)[:, None]
         cursors[:, 1, 1] = 1.0
-        columns = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
-        after = 2 * stamps[-1] - stamps[-2]  # when the cursor disappears
-        self.canvas.columns('strain/now', np.append(stamps, after), columns)
-        length = np.asarray(np.trapezoid(1.0 + strain, heights, axis=1))
-        self._stretch_layer(stamps, length, strain)
+        strips = rr.LineStrips2D.columns(strips=cursors).partition([1] * stamps.size + [0])
+        after = int(2 * stamps[-1] - stamps[-2])  # when the cursor disappears
+        self.canvas.columns('strain/now', np.append(stamps, after), strips)
+        length = _MILLI * np.trapezoid(1.0 + strain, heights, axis=1)
+        corners, scales = np.zeros((length.size, 3)), np.ones((length.size, 3))
+        corners[:, 0], corners[:, 1] = -0.5 * self._diameter, -length
+        scales[:, 0], scales[:, 1] = self._diameter, length / FIELD_POINTS
+        rows = charts.signed_colours(strain[:, ::-1], limit)
+        columns = [
+            *rr.Image.columns(buffer=[row.tobytes() for row in rows]),
+            *rr.Transform3D.columns(translation=corners, scale=scales),
+        ]
+        self.canvas.columns('side/plate/layer', stamps, columns)
+        self.canvas.draw('side/plate/layer', after, *self._layer_at_rest)
 
     # texts and the map
 
@@ -405,13 +351,6 @@ class _TwinView:
             if throw is not None and is_early and values.get('throw') == throw.number:
                 stamp = throw.stamp  # noqa: PLW2901
             self._write('throw_result', stamp, words.throw_text(values))
-
-    def draw_track(self, stamp: int, task: str, status: Any, values: words.Values) -> None:
-        """Write the diagnostics of the measured track, one line for each task."""
-        if task in _TRACK_TASKS:
-            self._present.add('track')
-            self._track[task] = words.track_text(task, status.message, values)
-            self._write('track', stamp, '  \n'.join(self._track.values()))
 
     def draw_recommendation(self, message: Message) -> None:
         """Write the table of a recommendation, and draw the map of its rig."""
@@ -430,13 +369,11 @@ class _TwinView:
 
 _DRAWERS: Mapping[Topic, Callable[..., None]] = {
     _LOG: Scene.draw_line,
-    TWIN_TOPICS.diagnostics: Scene.draw_diagnostics,
     TWIN_TOPICS.journal: _TwinView.draw_journal,
     **{
         line.topic: partial(_TwinView.draw_joints, topic=line.topic)
         for line in layout.LINES.values() if line.quantity
     },
-    TWIN_TOPICS.layer_joint_states: _TwinView.draw_layer,
     TWIN_TOPICS.phase_change: _TwinView.draw_phases,
     TWIN_TOPICS.throw_result: _TwinView.draw_result,
     TWIN_TOPICS.recommendation: _TwinView.draw_recommendation,

@@ -28,16 +28,11 @@ if TYPE_CHECKING:
 Result = TypeVar('Result')
 
 HOST = '127.0.0.1'
-
-PORT = 9876
-"""Default port of the viewer."""
-
+PORT = 9876  # default port of the viewer
 _TIMEOUT = 60.0  # longest wait until the viewer listens, has a recording, or has drawn [s]
 _POLL = 0.25  # time between two requests [s]
 _SETTLE_TIME = 2.0  # in which axes move to a new time [s]
-
 _SERVER_MEMORY = '256MB'
-
 _OPTIONS = (
     '--memory-limit', '2GB', '--server-memory-limit', _SERVER_MEMORY,
     '--hide-welcome-screen', '--expect-data-soon',
@@ -116,13 +111,8 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class Viewer:
-    """
-    A viewer process in a session of its own; ViewerError is raised if there is none.
-
-    It listens on this machine only, has limits on its memory, and sends no statistics. One that
-    `stays` is for a user, and goes on when this process ends.
-    """
+class Viewer(contextlib.AbstractContextManager['Viewer']):
+    """A viewer process of bounded memory for this machine; one that `stays` outlives this one."""
 
     def __init__(self, port: int, *options: str | Path, stays: bool = False) -> None:
         viewer = str(find_viewer())
@@ -140,9 +130,6 @@ class Viewer:
         )
         self.pid = self._process.pid  # of the process, and of its group
 
-    def __enter__(self) -> Viewer:
-        return self
-
     def __exit__(self, *_: object) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
@@ -151,34 +138,29 @@ class Viewer:
 
     def wait(self) -> None:
         """Wait until it listens; raise ViewerError if it ends before."""
-        self._request(partial(listens, self.port))
+        _request(partial(listens, self.port), self)
 
     def client(self) -> ViewerClient:
         """Return a client after a first picture; raise ViewerError if the viewer cannot draw."""
         self.wait()
-        client = self._request(partial(_client_of, self.port))
+        client = _request(partial(_connect, self.port), self)
         # the viewer answers other requests before it can draw
-        self._request(partial(client.take_screenshot, max_size=64))
+        _request(partial(client.take_screenshot, max_size=64), self)
         return client
 
     def photograph(self, path: Path, timeline: str, seconds: float | None) -> bytes:
         """Return a picture (PNG) of a recording at a time [s]; raise ViewerError if that fails."""
         client = self.client()
-        self._request(partial(_open, client, path, timeline, seconds))
+        _open(client, path, timeline, seconds)
         time.sleep(_SETTLE_TIME)
-        return self._request(client.take_screenshot)
+        return _request(client.take_screenshot, self)
 
-    def _request(self, request: Callable[[], Result]) -> Result:
-        """Repeat a request; raise ViewerError with the last words of the viewer if it fails."""
-        try:
-            return _request(request, lambda: self._process.poll() is None)
-        except (RuntimeError, OSError) as error:
-            self._errors.seek(0)
-            reason = self._errors.read().strip().partition('\n')[0] or str(error)
-            raise ViewerError(
-                f'the viewer does not draw: {reason}; if there is no Vulkan, `apt install '
-                'mesa-vulkan-drivers libvulkan1` installs a software renderer'
-            ) from None
+    def last_words(self) -> str | None:
+        """Return the first line of its errors after it has ended; None while it runs."""
+        if self._process.poll() is None:
+            return None
+        self._errors.seek(0)
+        return self._errors.read().strip().partition('\n')[0] or 'it has ended'
 
 
 def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
@@ -191,36 +173,35 @@ def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
                 f'start one where there is a screen: {find_viewer()} --bind {HOST} --port {port}'
             )
         Viewer(port, stays=True).wait()
-    try:
-        _open(_client_of(port), path, timeline, seconds)
-    except (RuntimeError, OSError) as error:
-        raise ViewerError(f'the viewer has not opened the bag: {error}') from None
+    _open(_request(partial(_connect, port)), path, timeline, seconds)
 
 
-def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> bool:
-    """Open a recording in a viewer, and move the cursor to a time of it [s]; return True."""
-    _request(partial(client.open, str(path)))
-    _request(lambda: client.get_state().recordings and not client.get_state().loading)
-    if seconds is not None:
-        client.set_time(timeline, duration=seconds, play_state='paused')
-    return True
-
-
-def _client_of(port: int) -> ViewerClient:
-    """Return a client of the viewer at a port."""
+def _connect(port: int) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
     return ViewerClient.connect(url_of(port))
 
 
-def _request(
-    request: Callable[[], Result], is_alive: Callable[[], bool] = lambda: True
-) -> Result:
-    """Repeat a request to a viewer until it succeeds; a busy one may time out."""
-    deadline = time.monotonic() + _TIMEOUT
-    while is_alive() and time.monotonic() < deadline:
-        with contextlib.suppress(TimeoutError):
-            if result := request():
+def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> None:
+    """Open a recording in a viewer, and move the cursor to a time of it [s]."""
+    _request(partial(client.open, str(path)))
+    _request(lambda: bool(client.get_state().recordings) and not client.get_state().loading)
+    if seconds is not None:
+        _request(partial(client.set_time, timeline, duration=seconds, play_state='paused'))
+
+
+def _request(request: Callable[[], Result], viewer: Viewer | None = None) -> Result:
+    """Repeat a request to a viewer while it times out or returns False."""
+    reason, deadline = None, time.monotonic() + _TIMEOUT
+    while reason is None and time.monotonic() < deadline:
+        try:
+            if (result := request()) is not False:
                 return result
+        except (RuntimeError, OSError) as error:
+            reason = None if isinstance(error, TimeoutError) else str(error)
         time.sleep(_POLL)
-    raise TimeoutError(f'no answer within {_TIMEOUT:g} s')
+        reason = (viewer and viewer.last_words()) or reason
+    raise ViewerError(
+        f'the viewer does not draw: {reason or "no answer"}; if there is no Vulkan, `apt install '
+        'mesa-vulkan-drivers libvulkan1` installs a software renderer'
+    )

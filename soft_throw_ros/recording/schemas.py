@@ -27,17 +27,15 @@ class SchemaError(ValueError):
 class Schema(NamedTuple):
     """Definition of a message type."""
 
-    # The `.msg` file and, after separators, those of its components, in MCAP's form `ros2msg`
-    text: str
+    text: str  # the `.msg` files of the type and of its components, in MCAP's form `ros2msg`
     type_hash: str  # `RIHS01_...`; empty where there is none, as in ROS 2 Humble
 
 
 def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     """
-    Return the definition of an installed message type, such as `sensor_msgs/msg/JointState`.
+    Return the definition of a type such as `sensor_msgs/msg/JointState`; SchemaError if none.
 
-    `prefixes` are folders of installed ROS packages, as in `AMENT_PREFIX_PATH`, of which the first
-    one with the type wins. SchemaError is raised if none has it.
+    `prefixes` are folders of installed ROS packages, of which the first one with the type wins.
     """
     folders = [Path(prefix) / 'share' for prefix in prefixes]
     done = {type_name}
@@ -56,11 +54,11 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     try:
         text = ''.join(texts(type_name))
         description = _path_of(type_name, folders).with_suffix('.json')
-        hashes = {}
-        if description.is_file():
-            items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
-            hashes = {item['type_name']: str(item['hash_string']) for item in items}
-        return Schema(text=text, type_hash=hashes[type_name] if hashes else '')
+        if not description.is_file():
+            return Schema(text, '')
+        items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
+        hashes = {item['type_name']: str(item['hash_string']) for item in items}
+        return Schema(text, hashes[type_name])
     except SchemaError:
         raise
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
@@ -23,11 +24,10 @@ from soft_throw_ros.twin.session import TickSchedule
 
 Stamps = NDArray[np.int64]
 
-DECODING_ERRORS = (
+DECODING_ERRORS = (  # of damaged bytes, or another program's messages on a topic of that name
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
     zlib.error,
 )
-"""Errors caused by damaged bytes, or by another program's messages on a topic of that name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,12 +50,12 @@ class ThrowStart:
 
 
 class TwinJournal:
-    """The state of a twin after the lines of its journal so far."""
+    """The rig, the settings and the throw of a twin after the lines of its journal so far."""
 
     def __init__(self) -> None:
-        self.rig: Rig | None = None  # of the present throw; None while unknown
-        self.settings: Settings = TWIN.defaults()  # of the present throw
-        self.throw: ThrowStart | None = None  # the last one
+        self.rig: Rig | None = None  # None while unknown
+        self.settings: Settings = TWIN.defaults()
+        self.throw: ThrowStart | None = None
         # Heights of a measured plate and projectile before the throw [m]
         self.rest_heights: tuple[float, float] | None = None
         self.clock_offset_ns = 0  # of the stamps of measurements [ns]
@@ -75,49 +75,41 @@ class TwinJournal:
             case 'throw':
                 self._start_throw(entry)
             case 'result' if self.throw and entry['result'].get('throw') == self.throw.number:
-                time = entry['result'].get('ejection_time')
-                is_release = isinstance(time, float) and time > 0.0
-                self.throw = replace(
-                    self.throw,
-                    ejection_time=time if is_release else None,
-                    is_over=entry['result'].get('stage') == 'final',
-                )
+                result, time = entry['result'], entry['result'].get('ejection_time')
+                time = time if isinstance(time, float) and time > 0.0 else None
+                is_over = result.get('stage') == 'final'
+                self.throw = replace(self.throw, ejection_time=time, is_over=is_over)
 
     def _take_effect(self, entry: journal.Entry) -> None:
         """Apply the known settings of an entry, with defaults for missing ones."""
-        known = {
-            name: TWIN.check_value(name, value)
-            for name, value in entry['settings'].items() if name in TWIN.by_name
-        }
-        settings = {**TWIN.defaults(), **known}
+        settings = TWIN.defaults()
+        for name in settings.keys() & entry['settings'].keys():
+            settings[name] = TWIN.check_value(name, entry['settings'][name])
         if self.rig is None or settings != self.settings:
             self.rig = rig_of(settings, journal.motion_source(entry))  # which opens no file
         self.settings = settings
 
     def _start_throw(self, entry: journal.Entry) -> None:
-        if 'onset' in entry:
-            onset = journal.decode_onset(entry['onset'])
-            stamp, clock_offset = onset.onset_ns, onset.clock_offset_ns
-            rest_heights = onset.rest.plate, onset.rest.projectile
-        else:
+        onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
+        if onset is None:
             stamp = TickSchedule(**entry['schedule']).deadline(entry['step'])
-            clock_offset, rest_heights = self.clock_offset_ns, None
         self._take_effect(entry)
-        self.clock_offset_ns, self.rest_heights = clock_offset, rest_heights
+        self.rest_heights = None
+        if onset is not None:
+            stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
+            self.rest_heights = onset.rest.plate, onset.rest.projectile
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
 
 
 def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     """Return the throws of each twin in journals; of a repeated one, that which is complete."""
-    throws: dict[str, dict[int, ThrowStart]] = {}  # by twin and stamp
-    journals: dict[str, TwinJournal] = {}
+    throws: dict[str, dict[int, ThrowStart]] = defaultdict(dict)  # by twin and stamp
+    journals: dict[str, TwinJournal] = defaultdict(TwinJournal)
     for message in messages:
         node, _ = find_topic(message.channel.topic, message.channel.type) or ('', None)
-        twin = journals.setdefault(node, TwinJournal())
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
-            twin.read(message)
-        if (throw := twin.throw) is not None:
-            known = throws.setdefault(node, {})
-            if throw.is_over or not known.get(throw.stamp, throw).is_over:
-                known[throw.stamp] = throw
+            journals[node].read(message)
+        throw = journals[node].throw
+        if throw and (throw.is_over or not throws[node].get(throw.stamp, throw).is_over):
+            throws[node][throw.stamp] = throw
     return {node: list(by_stamp.values()) for node, by_stamp in throws.items()}

@@ -12,15 +12,9 @@ import time
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
-FLUSH_PERIOD = 0.5
-"""Period of writing, and of retries after an error of the disk. [s]"""
-
-OPEN_TIMEOUT = 3.0
-"""Longest wait for the first attempt to create the bag. [s]"""
-
-STALL_TIMEOUT = 15.0
-"""Longest time without progress of the disk before closing gives up. [s]"""
-
+FLUSH_PERIOD = 0.5  # of writing, and of retries after an error of the disk [s]
+OPEN_TIMEOUT = 3.0  # longest wait for the first attempt to create the bag [s]
+STALL_TIMEOUT = 15.0  # longest time without progress of the disk before closing gives up [s]
 _OVERHEAD = 500  # memory that a waiting message takes besides its data [bytes]
 _POLL = 0.1  # period of looking for progress at the end [s]
 
@@ -29,9 +23,9 @@ class WriterThread:
     """
     A bag, and the thread that writes it.
 
-    `open_bag` creates the bag, and is called again every `FLUSH_PERIOD` as long as it raises
-    BagError; `bag` is None until then. `capacity` is the largest amount of data that may wait for
-    the disk [bytes]; further messages are dropped. `error` is the present error of writing.
+    `open_bag` is called every `FLUSH_PERIOD` as long as it raises BagError; `bag` is None until
+    then. Messages beyond `capacity` [bytes] that wait for the disk are dropped. `error` is the
+    present error of writing.
     """
 
     def __init__(self, open_bag: Callable[[], BagWriter], *, capacity: int) -> None:
@@ -44,9 +38,8 @@ class WriterThread:
         self._is_over = False  # whether all that is not saved is lost
         self._waiting: deque[Message] = deque()
         self._notes: Mapping[str, Mapping[str, str]] = {}
-        # Two sums, each of one thread, and no lock
-        self._put_size = 0  # [bytes]
-        self._written_size = 0  # [bytes]
+        # Sizes of all messages so far, each changed by one thread only, without a lock [bytes]
+        self._put_size = self._written_size = 0
         self._closing = threading.Event()
         self._is_last_try = False  # of a disk that takes nothing, at the end
         self._is_tried = threading.Event()  # set after the first attempt to create the bag
@@ -58,7 +51,7 @@ class WriterThread:
     @property
     def waiting(self) -> int:
         """Number of messages that wait for the disk."""
-        return max(sum((self._unsaved() - self.lost()).values()), 0)
+        return (self._unsaved() - self.lost()).total()
 
     def put(self, messages: Iterable[Message]) -> None:
         """Queue messages for writing; drop them if too much data waits already."""
@@ -81,8 +74,7 @@ class WriterThread:
         """
         Write all messages that wait and named texts, and finish the bag, or set `error`.
 
-        If the disk takes nothing for `STALL_TIMEOUT`, the thread is left alone, and all messages
-        that are not saved are lost.
+        A disk that takes nothing for `STALL_TIMEOUT` is left alone with all that it has not saved.
         """
         self._notes = notes or {}
         self._closing.set()
@@ -90,7 +82,7 @@ class WriterThread:
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
             self._thread.join(_POLL)
             done = self._written_size + (self.bag.saved_size if self.bag is not None else 0)
-            if done != progress:
+            if done > progress:
                 progress, since = done, time.monotonic()
         if self._thread.is_alive():
             self.error = f'the disk took nothing for {STALL_TIMEOUT:g} s'
@@ -126,9 +118,11 @@ class WriterThread:
             self.bag.wait_for_disk = self._wait_for_disk
         while self._waiting:
             message = self._waiting[0]  # which waits until it is written
-            if message.has_valid_times:
+            try:
                 self.bag.write(message)
-            else:
+            except BagError:
+                raise
+            except ValueError:  # its times
                 self._dropped[message.channel] += 1
             self._written_size += len(message.data) + _OVERHEAD
             self._waiting.popleft()
@@ -137,7 +131,5 @@ class WriterThread:
     def _wait_for_disk(self, reason: str) -> bool:
         """Wait for `FLUSH_PERIOD`; return whether to try again, which is once after the end."""
         self.error = reason
-        if self._is_last_try:
-            return False
-        self._is_last_try = self._closing.wait(FLUSH_PERIOD)
-        return True
+        was_last_try, self._is_last_try = self._is_last_try, self._closing.wait(FLUSH_PERIOD)
+        return not was_last_try

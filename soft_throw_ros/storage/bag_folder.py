@@ -4,24 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
 import fcntl
 import functools
 import os
 from pathlib import Path
 from typing import Any
 
-from soft_throw_ros.storage.atomic_file import atomic_file
 from soft_throw_ros.storage.message import BagError
 from soft_throw_ros.storage.regular_file import read_regular_file
 import yaml
 
 METADATA_FILE = 'metadata.yaml'
 
-VERSION = 9
-"""Version of the metadata format of ROS 2 Jazzy and later."""
-
-_KEY = 'rosbag2_bagfile_information'
+METADATA_KEY = 'rosbag2_bagfile_information'
 
 MAX_FILE_SIZE = 512 * 2**10
 """Largest size of the file [bytes]: 500 topics, or 16 twins and the files of a day, take half."""
@@ -32,48 +28,46 @@ NO_MCAP = (
 )
 
 _ERRORS = (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""Errors for texts that are no YAML, or do not have the expected values."""
+"""Errors for texts that are no YAML, or do not have the expected values. (LibYAML would be faster,
+but many opening brackets make it overflow its stack.)"""
 
 
 class BagFolder:
-    """
-    The files of a bag: those of a folder, in their order, or one MCAP file.
-
-    The files contain all data; `metadata.yaml` adds the ROS distribution, and names missing files.
-    BagError is raised if there is no bag in MCAP; the message gives the remedy.
-    """
+    """The files of a bag: those of a folder, in order, or one MCAP file; BagError if none is."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.distribution = ''
         self.files = [self.path]
-        self.defects: list[str] = []  # files that are missing or empty
+        self.defects: list[Path] = []  # files that are missing or empty
         if not self.path.is_dir():
             return
-        self.distribution, compression, names = _read_metadata(self.path / METADATA_FILE)
+        mode, names = '', list[str]()
+        with contextlib.suppress(OSError, *_ERRORS):
+            text = read_regular_file(self.path / METADATA_FILE, max_bytes=MAX_FILE_SIZE).decode()
+            information = yaml.safe_load(text)[METADATA_KEY]
+            names = [Path(name).name for name in information['relative_file_paths']]
+            mode = str(information.get('compression_mode')).lower()
+            self.distribution = str(information.get('ros_distro') or '')
         # `bag_2` before `bag_10`
         present = sorted(self.path.glob('*.mcap'), key=lambda path: (len(path.name), path.name))
-        if not present or compression == 'message':
+        if not present or mode == 'message':
             raise BagError(f'{self.path} {NO_MCAP}')
-        listed = [self.path / Path(name).name for name in names]
-        self.defects = [f'{path}: the file is missing' for path in listed if path not in present]
-        # A loss of power may leave empty files
-        empty = [path for path in present if path.is_file() and not path.stat().st_size]
-        self.defects += [f'{path}: the file is empty' for path in empty]
-        self.files = [path for path in present if path not in empty] or present
+        sound = [path for path in present if path.is_file() and path.stat().st_size]
+        self.files = sound or present
+        listed = {self.path / name for name in names}
+        self.defects = sorted(listed.union(present).difference(self.files))
 
 
-def is_being_written(path: str | Path) -> bool:
-    """Return whether a `BagWriter`, in this or another process, writes the bag at a path."""
-    folder = Path(path)
+def check_not_written(path: Path) -> None:
+    """Raise BagError if a `BagWriter`, in this or another process, writes the bag at a path."""
     try:
-        folder = folder if folder.is_dir() else folder.parent
+        folder = path if path.is_dir() else path.parent
         os.close(lock_folder(folder, fcntl.LOCK_SH | fcntl.LOCK_NB))
     except BlockingIOError:
-        return True
+        raise BagError(f'{path} is being written; stop the recorder before') from None
     except OSError:
         pass  # missing or unreadable; reading the bag raises a better error
-    return False
 
 
 def lock_folder(folder: Path, mode: int = fcntl.LOCK_EX) -> int:
@@ -102,49 +96,16 @@ def dump_yaml(data: object) -> str:
     return text
 
 
-def write_metadata(path: Path, information: Mapping[str, object]) -> None:
-    """Replace the file of a bag at once; OSError if that cannot be done."""
-    with atomic_file(path) as unfinished:
-        unfinished.write_text(dump_yaml({_KEY: information}), encoding='utf-8')
-
-
-def _read_metadata(path: Path) -> tuple[str, str, list[str]]:
+@functools.lru_cache(maxsize=1000)  # every file of a bag, and many channels, have the same
+def load_profiles(text: str) -> list[dict[str, Any]]:
     """
-    Read ROS distribution, mode of compression and files of a bag; all empty if that is impossible.
+    Read the quality of service of a channel, a list in YAML; return an empty one if it is none.
 
-    (LibYAML would be faster, but many opening brackets make it overflow its stack.)
+    >>> load_profiles('- {depth: 3}'), load_profiles('[1]'), load_profiles('[')
+    ([{'depth': 3}], [], [])
+
     """
     try:
-        text = read_regular_file(path, max_bytes=MAX_FILE_SIZE).decode()
-        information = yaml.safe_load(text)[_KEY]
-        files = [str(name) for name in information['relative_file_paths']]
-        names = 'ros_distro', 'compression_mode'
-        distribution, mode = (str(information.get(name) or '') for name in names)
-    except (OSError, *_ERRORS):
-        return '', '', []
-    return distribution, mode.lower(), files
-
-
-def load_profiles(text: str) -> list[Any]:
-    """Read a list in YAML; return an empty one if it is no list."""
-    try:
-        return list(yaml.safe_load(text) or [])
+        return [item for item in yaml.safe_load(text) or [] if isinstance(item, dict)]
     except _ERRORS:
         return []
-
-
-@functools.lru_cache(maxsize=1000)  # every file of a bag, and many channels, have the same
-def profiles_of(text: str) -> list[dict[str, Any]]:
-    """
-    Read the quality of service of a channel; return an empty list if it is not as in version 9.
-
-    >>> profiles_of('- {depth: 3, reliability: reliable}'), profiles_of('[{reliability: 1}]')
-    ([{'depth': 3, 'reliability': 'reliable'}], [])
-
-    """
-    profiles = load_profiles(text)
-    has_names = all(
-        isinstance(profile, dict) and isinstance(profile.get('reliability'), str)
-        for profile in profiles
-    )
-    return profiles if has_names else []

@@ -1,16 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Finished bags of this package and of other recorders, opened for reading.
-
-The library `mcap` parses the records. No file may make it read or unpack more than `MAX_RECORD` at
-once. The error for a damaged or unfinished bag names the command that recovers its messages (see
-`recovery`).
-"""
+"""Finished bags of this package and of other recorders, parsed by the library `mcap`."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+import contextlib
 import functools
 import heapq
 import io
@@ -25,21 +20,17 @@ from mcap import records as mcap
 from mcap.reader import SeekingReader
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC as MAGIC
-from soft_throw_ros.storage.bag_folder import BagFolder, is_being_written, NO_MCAP
-from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
+from soft_throw_ros.storage.bag_folder import BagFolder, check_not_written, NO_MCAP
+from soft_throw_ros.storage.message import BagError, Channel, Message
 from soft_throw_ros.storage.regular_file import open_regular_file
 
 MAX_RECORD = 64 * 2**20
-"""
-Largest size of a record, of an unpacked chunk, of the index of a file, and of a file without an
-index, whose messages are kept in memory. [bytes]
-"""
+"""Largest size of a record, an unpacked chunk, an index, and a file without an index. [bytes]"""
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
 
-_unique_channel = functools.cache(Channel)
-"""Return one object for all equal channels, since the files of a bag repeat them."""
+_unique_channel = functools.cache(Channel)  # the files of a bag repeat their channels
 
 
 class UnfinishedError(BagError):
@@ -60,9 +51,9 @@ class _BoundedFile(io.BufferedReader):
 
 
 def _check_size(size: int) -> None:
-    """Raise ValueError if a record or chunk claims too large a size [bytes]."""
+    """Raise ValueError for too large a size [bytes]."""
     if size > MAX_RECORD:
-        raise ValueError(f'a record or chunk of {size} bytes, more than {MAX_RECORD}')
+        raise ValueError(f'record, chunk, unindexed file of {size} bytes, more than {MAX_RECORD}')
 
 
 def open_mcap(path: Path) -> io.BufferedReader:
@@ -101,18 +92,14 @@ def _make_message(record: mcap.Message, channels: Mapping[int, Channel]) -> Mess
     if record.channel_id not in channels:
         raise ValueError(f'nothing defines channel {record.channel_id} of a message')
     times = record.log_time, record.publish_time
-    message = Message(channels[record.channel_id], record.data, *times, record.sequence)
-    if not message.has_valid_times:
-        raise ValueError(f'a message has the times {times} ns, beyond {LATEST}')
-    return message
+    return Message(channels[record.channel_id], record.data, *times, record.sequence).checked()
 
 
 def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecord]:
     """
     Yield the messages and all other records of a file as they were written.
 
-    Damaged bytes may cause any exception. ValueError is raised for too large a record, and if the
-    index counts more messages than there are; BagError, if a channel is not of ROS 2.
+    Damaged bytes may cause any exception; BagError is raised if a channel is not of ROS 2.
     """
     schemas: dict[int, mcap.Schema] = {}
     channels: dict[int, Channel] = {}
@@ -140,30 +127,28 @@ def read_records(stream: io.BufferedReader) -> Iterator[Message | mcap.McapRecor
 class _File:
     """A finished MCAP file; one without a complete index, as of `fastwrite`, is kept in memory."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: io.BufferedReader) -> None:
         self.path = path
         self.channels: dict[int, Channel] = {}
         self.span: tuple[int, int] | None = None  # log times of the first and last message [ns]
-        self._messages: list[Message] = []  # by log time, without an index
-        self._stream = open_mcap(path)
+        self._messages: list[Message] = []  # without an index
+        self._stream = stream
         try:
             self._reader = self._read_index()
             if self._reader is None:
                 self._read_messages()
         except BagError as error:
-            self.close()
             raise BagError(f'{path}: {error}') from None
         except Exception as error:  # damaged bytes may cause any error in the library
-            self.close()
             raise UnfinishedError(path, f'the file has no sound end, {error!s:.150}') from error
-
-    def close(self) -> None:
-        self._stream.close()
 
     def messages(self, topics: Collection[str] | None, *, by_log_time: bool) -> Iterator[Message]:
         """Yield messages; raise UnfinishedError where a chunk is damaged."""
         if self._reader is None:
-            yield from (m for m in self._messages if topics is None or m.channel.topic in topics)
+            yield from sorted(
+                (m for m in self._messages if topics is None or m.channel.topic in topics),
+                key=lambda message: message.log_time if by_log_time else 0,
+            )
             return
         try:
             for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
@@ -180,10 +165,8 @@ class _File:
             raise ValueError('it was cut off or is being written')
         _, _, begin, _, checksum, _ = _END.unpack(end)
         self._stream.seek(begin)
-        if begin and checksum:
-            index = self._stream.read(size - begin - len(MAGIC) - 4)
-            if checksum != zlib.crc32(index):
-                raise ValueError('the checksum of its index is wrong')
+        if begin and checksum not in (0, zlib.crc32(self._stream.read(size - begin - 12))):
+            raise ValueError('the checksum of its index is wrong')
         self._stream.seek(0)
         reader = SeekingReader(self._stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -207,40 +190,38 @@ class _File:
 
     def _read_messages(self) -> None:
         """Read all messages of a file without an index."""
-        size = self._stream.seek(0, os.SEEK_END)
-        if size > MAX_RECORD:
-            raise ValueError(f'it has no index, and {size} bytes are more than {MAX_RECORD}')
+        _check_size(self._stream.seek(0, os.SEEK_END))
         self._stream.seek(0)
         items = read_records(self._stream)
         self._messages = [item for item in items if isinstance(item, Message)]
         self.channels = dict(enumerate({message.channel: 0 for message in self._messages}))
-        self._messages.sort(key=lambda message: message.log_time)
-        if self._messages:
-            self.span = self._messages[0].log_time, self._messages[-1].log_time
+        if times := [message.log_time for message in self._messages]:
+            self.span = min(times), max(times)
 
 
-class BagReader:
+class BagReader(contextlib.AbstractContextManager['BagReader']):
     """
     A finished bag opened for reading: a folder with MCAP files, or one such file.
 
-    UnfinishedError is raised if a file is damaged, missing or empty, or is being written;
-    BagError, if there is no bag of ROS 2 in MCAP. The message gives the remedy.
+    UnfinishedError is raised if a file is damaged, missing or empty; BagError, if the bag is being
+    written, or is none of ROS 2 in MCAP. The message gives the remedy.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         folder = BagFolder(path)
-        self._files: list[_File] = []
-        try:
-            for file_path in folder.files:
-                self._files.append(_File(file_path))
-            if folder.defects:
-                raise UnfinishedError(self.path, folder.defects[0])
-        except BagError as error:
-            self.close()
-            if isinstance(error, UnfinishedError) and is_being_written(self.path):
-                raise BagError(f'{self.path} is being written; stop the recorder before') from None
-            raise
+        if folder.defects:
+            check_not_written(self.path)
+            raise UnfinishedError(folder.defects[0], 'the file is missing or empty')
+        with contextlib.ExitStack() as streams:
+            try:
+                self._files = [
+                    _File(file, streams.enter_context(open_mcap(file))) for file in folder.files
+                ]
+            except UnfinishedError:
+                check_not_written(self.path)
+                raise
+            self._streams = streams.pop_all()
         channels = (file.channels.values() for file in self._files)
         self.channels = tuple(dict.fromkeys(itertools.chain(*channels)))  # each one once
         self._spans = [file.span for file in self._files if file.span is not None]
@@ -248,25 +229,16 @@ class BagReader:
         self.start_time = min((first for first, _ in self._spans), default=0)
         self.end_time = max((last for _, last in self._spans), default=0)
 
-    def __enter__(self) -> BagReader:
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files."""
-        for file in self._files:
-            file.close()
+        self._streams.close()
 
     def messages(
         self, topics: Collection[str] | None = None, *, by_log_time: bool = True
     ) -> Iterator[Message]:
         """
-        Yield messages of topics.
+        Yield messages of topics, those of equal times, or all, in the order of writing.
 
-        They come by log time, those of equal times as they were written, or all as they were
-        written. UnfinishedError is raised where a chunk is damaged.
+        UnfinishedError is raised where a chunk is damaged.
         """
         found = [file.messages(topics, by_log_time=by_log_time) for file in self._files]
         is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(self._spans))

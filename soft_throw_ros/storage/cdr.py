@@ -3,9 +3,8 @@
 """
 Messages as bytes (CDR), written and read without ROS.
 
-Joint states of every tick are not built as message objects: all fields of one layout (little
-endian) are one `struct`. Padding is zero, so that equal messages have equal bytes;
-`rclpy.serialization` leaves old memory in the padding. A library reads all other messages.
+Joint states of every tick are not built as message objects, but packed as one `struct`. Padding is
+zero, so that equal messages have equal bytes. A library reads all other messages.
 """
 
 from __future__ import annotations
@@ -43,22 +42,17 @@ def stamp_of(data: bytes) -> int:
 
 
 class JointStates(NamedTuple):
-    """Messages sensor_msgs/JointState of the same joints."""
+    """Messages sensor_msgs/JointState of the same joints, in SI units."""
 
-    stamps: NDArray[np.int64]  # (n,) Of the headers. [ns]
-    names: tuple[str, ...]  # Of the joints
-    # (n, joints) In SI units; (n, 0) where the messages have none
-    position: Floats
+    stamps: NDArray[np.int64]  # (n,) of the headers [ns]
+    names: tuple[str, ...]
+    position: Floats  # (n, joints), or (n, 0) where the messages have none, as the next two
     velocity: Floats
     effort: Floats
 
 
 class _Layout:
-    """
-    The fields of a sensor_msgs/JointState with given texts and lengths of its series.
-
-    All are one `struct`; it writes zeros as padding, and ignores the padding that it reads.
-    """
+    """The fields of a JointState as one `struct`, which ignores the padding that it reads."""
 
     def __init__(self, texts: Sequence[bytes], counts: Sequence[int]) -> None:
         """`texts` are frame and names with their zero bytes, `counts` the lengths of series."""
@@ -99,22 +93,14 @@ class _Layout:
 
 
 class JointStateEncoder(_Layout):
-    """
-    Write sensor_msgs/JointState of always the same joints.
-
-    `series` is how many of position, velocity and effort there are, in this order.
-    """
+    """Write sensor_msgs/JointState of the same joints, with the first `series` of its series."""
 
     def __init__(self, frame: str, names: Sequence[str], *, series: int = 3) -> None:
         counts = [len(names) if number < series else 0 for number in range(3)]
         super().__init__([text.encode() + b'\x00' for text in (frame, *names)], counts)
 
     def encode(self, stamp_ns: int, values: Sequence[float]) -> bytes:
-        """
-        Return a message as bytes to publish.
-
-        `values` are those of one series after another, as in a `State` of plate and projectile.
-        """
+        """Return a message with the values of one series after another, as in a `State`."""
         first, second, third = self._counts
         both = first + second
         return self._struct.pack(
@@ -128,23 +114,13 @@ class JointStateEncoder(_Layout):
 
 
 class JointStateReader:
-    """
-    Decoder of messages sensor_msgs/JointState.
-
-    The reader keeps the layout of the last message. A message with the same layout takes two
-    microseconds; another frame, other joints or other lengths take more. Padding is ignored.
-    """
+    """Decoder of sensor_msgs/JointState; the layout of the last message costs two microseconds."""
 
     def __init__(self) -> None:
         self._last = _Layout([b''], [0, 0, 0])
 
     def read_all(self, datas: Sequence[bytes]) -> JointStates:
-        """
-        Read at least one message into arrays.
-
-        MessageError is raised if one is no JointState, or its joints or lengths differ from the
-        first.
-        """
+        """Read messages into arrays; MessageError if one is damaged, or unlike the first one."""
         rows = [self._read(data) for data in datas]
         names = rows[0][1]
         if len({(row[1], *map(len, row[2:])) for row in rows}) > 1:
@@ -156,8 +132,7 @@ class JointStateReader:
         return JointStates(np.array(stamps, np.int64), names, *arrays)
 
     def _read(self, data: bytes) -> _Values:
-        values = self._last.unpack(data)
-        if values is None:
+        if (values := self._last.unpack(data)) is None:
             self._last = _find_layout(data)
             values = self._last.unpack(data)
         if values is None:
@@ -193,11 +168,7 @@ def _find_layout(data: bytes) -> _Layout:
 
 
 def decode(message: Message) -> Any:
-    """
-    Read a message of any type; return its fields as a SimpleNamespace.
-
-    MessageError is raised if the bytes are no such message, or its definition is none.
-    """
+    """Read a message of any type into a SimpleNamespace; MessageError if bytes are no such one."""
     channel = message.channel
     try:
         return _decoder_of(channel.type, channel.schema)(message.data)

@@ -14,11 +14,7 @@ LATEST = 2**63 - 1
 
 
 class BagError(ValueError):
-    """
-    A bag cannot be read or written; the message names its path and the remedy.
-
-    The message is one line, even if it quotes several lines of the bag.
-    """
+    """A bag cannot be read or written; the message is one line, even if it quotes several."""
 
     def __init__(self, message: str) -> None:
         super().__init__(' '.join(message.splitlines()))
@@ -32,10 +28,8 @@ class Channel:
     type: str  # Such as `sensor_msgs/msg/JointState`  # noqa: A003
     schema: str  # Definition of the type and its dependencies, from `schemas.find_schema`
     type_hash: str = ''  # `RIHS01_...`, or empty
-    # Profiles of the publishers: a list in YAML, in the form of rosbag2, or empty
-    qos: str = ''
-    # Format of the schema; other recorders may write `ros2idl`
-    schema_encoding: str = 'ros2msg'
+    qos: str = ''  # Profiles of the publishers: a list in YAML, in the form of rosbag2, or empty
+    schema_encoding: str = 'ros2msg'  # Other recorders may write `ros2idl`
 
 
 class Message(NamedTuple):
@@ -52,7 +46,11 @@ class Message(NamedTuple):
         """Time of publishing, or of receiving if the recorder did not note the former [ns]."""
         return self.publish_time or self.log_time
 
-    @property
-    def has_valid_times(self) -> bool:
-        """Whether MCAP and ROS can hold both times."""
-        return 0 <= (self.log_time | self.publish_time) <= LATEST
+    def checked(self) -> Message:
+        """Return the message; raise ValueError if MCAP or ROS cannot hold its times."""
+        if not 0 <= (self.log_time | self.publish_time) <= LATEST:
+            raise ValueError(
+                f'{self.channel.topic}: times must be at least 0 and below 2**63 ns, got '
+                f'{self.log_time} and {self.publish_time}'
+            )
+        return self

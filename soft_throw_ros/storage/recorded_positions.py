@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, field
 import json
 import math
 from typing import Any
@@ -15,15 +14,16 @@ from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 
 
-@dataclass
 class RecordedPositions:
     """Positions of joints on one topic."""
 
-    # by stamp [ns], NaN for a joint that a message lacks; of equal stamps the first one counts
-    rows: dict[int, list[float]] = field(default_factory=dict)
-    unreadable: int = 0  # number of messages that are no JointState
-    names: set[str] = field(default_factory=set)  # of all joints of the topic
-    time_scale: float = 1.0  # time of the rig over that of the stamps
+    def __init__(self, settings: Mapping[str, Any]) -> None:
+        # by stamp [ns], NaN for a joint that a message lacks; of equal stamps the first one counts
+        self.rows: dict[int, list[float]] = {}
+        self.unreadable = 0  # number of messages that are no JointState
+        self.names: set[str] = set()  # of all joints of the topic
+        # time of the rig over that of the stamps
+        self.time_scale = float(settings.get('time_scale', 1.0))
 
 
 def read_positions(
@@ -35,10 +35,7 @@ def read_positions(
     The journal beside a topic gives the `joint_names.*` and the time scale of its twin.
     """
     settings = {topic: _settings_beside(reader, topic) for topic in topics}
-    recorded = {
-        topic: RecordedPositions(time_scale=float(settings[topic].get('time_scale', 1.0)))
-        for topic in topics
-    }
+    recorded = {topic: RecordedPositions(settings[topic]) for topic in topics}
     decoders = {topic: JointStateReader() for topic in topics}
     for message in reader.messages(topics):
         topic = message.channel.topic

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Regular files of bounded size; no other files are read by a name from outside."""
+"""User files: only regular ones of bounded size are read, and they are written as a whole."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+import contextlib
 import errno
 import io
 import os
@@ -24,7 +26,7 @@ def open_regular_file(path: str | Path, *, max_bytes: int) -> io.BufferedReader:
         return os.fdopen(descriptor, 'rb')
     os.close(descriptor)
     if stat.S_ISREG(status.st_mode):
-        raise _too_large(max_bytes)
+        raise OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
     raise OSError(errno.EINVAL, 'is not a regular file')
 
 
@@ -33,9 +35,22 @@ def read_regular_file(path: str | Path, *, max_bytes: int) -> bytes:
     with open_regular_file(path, max_bytes=max_bytes) as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:  # it has grown, or is one of /proc, which have no size
-        raise _too_large(max_bytes)
+        raise OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
     return content
 
 
-def _too_large(max_bytes: int) -> OSError:
-    return OSError(errno.EFBIG, f'is larger than {max_bytes} bytes')
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[Path]:
+    """
+    Create or replace a file only after its content is complete.
+
+    The context is a temporary file for the content; an exception leaves the file unchanged.
+    """
+    beside = path.parent / f'{path.name}.{os.getpid()}.tmp'
+    try:
+        yield beside
+        with beside.open('rb+') as file:
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

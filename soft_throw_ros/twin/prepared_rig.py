@@ -127,7 +127,7 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
         events = stepper.advance_to(time)
         if not events and row % _ROWS_PER_ENERGY == 0:
             state, total = state_of(stepper), stepper.stored_energy()
-            rise = state.projectile_position - stepper.rest_position
+            rise = state.projectile_position - rig.rest_height
             per_mass = 0.5 * state.projectile_velocity**2 + rig.gravity * rise
             projectile = rig.projectile.mass * per_mass
             energies.append((time, stepper.plate_work, projectile, total - projectile, total))

@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `recover`."""
 
-import io
 from pathlib import Path
 
-from mcap.reader import make_reader
 import pytest
 from soft_throw_ros.commands import recover
 from soft_throw_ros.recording.bag_writer import BagWriter
@@ -26,28 +24,24 @@ def bag(tmp_path):
     return tmp_path / 'run'
 
 
-def damage(bag, chunk):
-    """Damage a chunk of a bag; return the file."""
-    (path,) = bag.glob('*.mcap')
+def damage(bag, share):
+    """Damage a byte of a bag; return the file."""
+    path = bag / 'run_0.mcap'
     data = bytearray(path.read_bytes())
-    index = make_reader(io.BytesIO(data)).get_summary().chunk_indexes[chunk]
-    data[index.chunk_start_offset + index.chunk_length - 1] ^= 1
+    data[round(share * len(data))] ^= 1
     path.write_bytes(data)
     return path
 
 
 def test_loss_is_reported_with_its_file_size_and_exit_code(command, bag, tmp_path):
-    path = damage(bag, 1)
-    out = command.run(bag, '--to', tmp_path / 'out/whole', code=1)
-    first, *_, last = out.splitlines()
-    assert first.startswith(f'{tmp_path}/out/whole: 100 messages')
+    path, target = damage(bag, 0.5), tmp_path / 'out/whole'
+    first, *_, last = command.run(bag, '--to', target, code=1).splitlines()
+    assert first.startswith(f'{target}: 100 messages')
     assert last.startswith(f'omitted: {path}: ')
     assert str(path.stat().st_size) in last
 
 
-def test_recovered_bag_is_beside_its_file_or_the_current_folder(
-    command, bag, tmp_path, monkeypatch
-):
+def test_recovered_bag_is_beside_the_other(command, bag, tmp_path, monkeypatch):
     monkeypatch.chdir(bag)
     assert command.run('.').startswith(f'{bag}_recovered: 300 messages')
     path = (bag / 'run_0.mcap').rename(tmp_path / 'alone.mcap')
@@ -55,11 +49,7 @@ def test_recovered_bag_is_beside_its_file_or_the_current_folder(
 
 
 def test_error_is_one_line(command, bag, tmp_path):
-    (tmp_path / 'text').write_text('hello')
-    assert f'{tmp_path}/text' in command.refused(tmp_path / 'text')
     assert str(tmp_path) in command.refused(bag, '--to', tmp_path)
-    damage(bag, 0)
+    damage(bag, 0.1)
     assert 'run_0.mcap' in command.refused(bag)
     assert not Path(f'{bag}_recovered').exists()
-    with BagWriter(tmp_path / 'live', distribution=''):
-        assert f'{tmp_path}/live' in command.refused(tmp_path / 'live')

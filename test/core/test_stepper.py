@@ -16,16 +16,9 @@ from reference.cases import FREQUENCY, log_uniform, make_paper_rig, STRAINS
 from reference.method_of_steps import follow
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import (
-    EventLimitError,
-    HorizonError,
-    MAX_PIECES_AHEAD,
-    PLATE_POSITION,
-    PLATE_VELOCITY,
-    PROJECTILE_VELOCITY,
-    TIME,
-)
+from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_VELOCITY, TIME
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
@@ -38,15 +31,14 @@ makers = [partial(WaveStepper, Rig()), *(partial(CellStepper, Rig(layer=x)) for 
 steppers = pytest.mark.parametrize('make', makers[:4])
 all_steppers = pytest.mark.parametrize('make', makers)
 plate_states = Underdamped.of(Engine()).states_at
+NO_STATES = np.empty(0), np.empty((0, 3))
 
 
 def observe(model):
     """Return all outputs of a stepper as bytes."""
-    numbers = [
-        *model.state, *model.read_layer().ravel(), *model.loads, model.plate_work,
-        model.stored_energy(), model.surface_position,
-    ]
-    return np.array(numbers).tobytes(), model.events(), model.in_contact, model.event_count
+    numbers = *model.state, *model.read_layer().flat, *model.loads, model.plate_work
+    others = model.stored_energy(), model.events(), model.in_contact, model.event_count
+    return np.array(numbers).tobytes(), *others
 
 
 @all_steppers
@@ -72,7 +64,6 @@ def test_stepper_is_advanced_to_its_first_release_or_gives_up(make):
     assert model.advance_to_release(latest=1e-3) is None
     assert model.state[TIME] == 1e-3
     release = model.advance_to_release(latest=1.0)
-    assert release.kind == 'release'
     step = 0.25 * (1.0 / model.rig.natural_frequency + model.rig.crossing_time)
     assert release.time <= model.state[TIME] < release.time + step
 
@@ -139,10 +130,9 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     heights, velocities, forces, _ = model.read_layer()
     weight, height = rig.projectile.mass * rig.gravity, rig.rest_height
     assert model.state == pytest.approx([0.5, 0.0, height, 0.0, 0.0, -weight, weight])
-    assert model.rest_position == pytest.approx(height, abs=1e-12)
-    assert model.state[PLATE_POSITION] == model.state[PLATE_VELOCITY] == model.plate_work == 0.0
+    assert model.state[1] == model.state[3] == model.plate_work == 0.0
     assert model.stored_energy() == pytest.approx(0.0, abs=1e-18)  # of 1e-3 J in a throw
-    assert heights[-1] == pytest.approx(height)
+    assert heights[-1] == pytest.approx(height, abs=1e-12)
     assert velocities == pytest.approx(0.0)
     assert forces[[0, -1]] == pytest.approx(weight)
     assert min(np.diff(heights).min(), forces.min()) > 0.0
@@ -153,8 +143,7 @@ def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     [
         (WaveStepper, 1.0, 9.81, 0.0151, 0.04, 5e-5),
         (WaveStepper, 1.0, 9.81, 0.041, 0.04, 5e-5),
-        (partial(CellStepper, cells=400), -1.0, 0.0, 0.03, 0.02, 1e-3),  # the plate falls
-        (partial(CellStepper, cells=400), -1.0, 9.81, 0.03, 0.02, 1e-3),
+        (partial(CellStepper, cells=400), -1.0, 9.81, 0.03, 0.02, 1e-3),  # the plate falls
     ],
 )
 def test_sampled_plate_agrees_with_the_method_of_steps(make, sign, gravity, end, until, error):
@@ -192,7 +181,7 @@ def test_fork_predicts_the_projectile_for_one_crossing(make):
         model.append_plate_states([time], [state])
         model.advance_to(model.horizon)
         before = observe(model)
-        ahead.sync_from(model)
+        ahead.sync_from(model, *NO_STATES)
         ahead.advance_to(model.horizon + 0.9 * model.rig.crossing_time)
         assert observe(model) == before
         if n > 1:
@@ -210,9 +199,9 @@ def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
         model.append_plate_states(batch, plate_states(batch))
         model.advance_to(model.horizon)
     model.reset()
-    ahead.sync_from(model)
+    ahead.sync_from(model, *NO_STATES)
     ahead.advance_to(1e-3)  # where nothing is known, the plate is at rest
-    assert ahead.state[PLATE_POSITION] == ahead.state[PLATE_VELOCITY] == 0.0
+    assert ahead.state[1] == ahead.state[3] == 0.0
 
 
 @steppers
@@ -223,7 +212,7 @@ def test_unknown_plate_is_refused_and_changes_nothing(make):
         model.append_plate_states([known], np.zeros((1, 3)))
         assert known - step <= model.horizon <= known
         model.advance_to(model.horizon)
-        with pytest.raises(HorizonError, match=r'0\.5'):
+        with pytest.raises(ValueError, match=r'known until .*0\.5'):
             model.advance_to(0.5)
     model.reset()
     assert model.horizon <= 0.0
@@ -242,9 +231,8 @@ def test_impossible_states_are_refused_as_a_whole(make):
         with pytest.raises(ValueError, match=complaint):
             model.append_plate_states(times, states)
         assert model.horizon <= 0.0
-    for call in (partial(make().append_plate_states, [0.0], np.zeros((1, 3))), make().fork):
-        with pytest.raises(ValueError, match='measured'):
-            call()
+    with pytest.raises(ValueError, match='measured'):
+        make().append_plate_states([0.0], np.zeros((1, 3)))
 
 
 @all_steppers
@@ -284,14 +272,11 @@ def test_advancing_allocates_nothing(make):
     run()  # fills the interpreter's bounded list of freed floats
     model.reset()
     tracemalloc.start()
-    try:
-        before, _ = tracemalloc.get_traced_memory()
-        run()
-        after, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert after - before < 1000
-    assert peak - before < 4000  # numbers on their way
+    run()
+    after, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after < 1000
+    assert peak < 4000  # numbers on their way
 
 
 @pytest.mark.parametrize(

@@ -141,7 +141,7 @@ def energy(model):
     rig, layer = model.rig, model.read_layer()
     mass, weight = rig.projectile.mass, rig.projectile.mass * rig.gravity
     density = rig.layer.mass * layer[1] ** 2 + (layer[2] - weight) ** 2 / rig.layer.stiffness
-    gap = model.state[PROJECTILE_POSITION] - model.surface_position
+    gap = model.state[PROJECTILE_POSITION] - model.read_layer()[0, -1]
     height = model.state[PLATE_POSITION] + gap
     waves = 0.5 * trapezoid(density, dx=1.0 / (model.field_points - 1))
     return waves + 0.5 * mass * model.state[PROJECTILE_VELOCITY] ** 2 + weight * height

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tracks with known truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import itertools
@@ -14,44 +12,37 @@ import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.identification.fit_description import FitDescription
-from soft_throw_ros.identification.forward import ThrowSimulator
-from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
-from soft_throw_ros.identification.rig_model import RigModel
 from soft_throw_ros.identification.track_csv import read_csv
 from soft_throw_ros.identification.tracks import ThrowTracks, Track
 
 DATA = Path(__file__).parents[1] / 'data'
 
 
-def _measure(time, plate, projectile, *, noise=2e-5, seed=0) -> ThrowTracks:
-    """Return tracks of two bodies: their heights with noise."""
-    heights = np.stack([plate, projectile])
-    heights += noise * np.random.default_rng(seed).normal(size=heights.shape)
-    below, above = (Track(time=time, position=height) for height in heights)
-    return ThrowTracks(name='simulated', plate=below, projectile=above)
+@pytest.fixture(scope='session')
+def see() -> Callable[..., ThrowTracks]:
+    """Return a function that measures heights of two bodies with noise."""
+
+    def see(time, plate, projectile, *, noise=2e-5, seed=0):
+        heights = np.stack([plate, projectile])
+        heights += noise * np.random.default_rng(seed).normal(size=heights.shape)
+        below, above = (Track(time=time, position=height) for height in heights)
+        return ThrowTracks(name='simulated', plate=below, projectile=above)
+
+    return see
 
 
-def _make_throw(
-    rig: Rig, *, rate=5000.0, duration=0.1, start=0.0153, zeros=(0.0, 0.0), **options
-) -> ThrowTracks:
-    """Return the tracks of an exact throw, measured from given zeros of height."""
-    time = np.arange(0.0, duration, 1.0 / rate)
-    since = time - start
-    plate = Underdamped.of(rig.engine).position(since)
-    projectile = follow(rig, until=since[-1]).projectile_position(since)
-    return _measure(time, plate - zeros[0], projectile - zeros[1], **options)
+@pytest.fixture(scope='session')
+def make_throw(see) -> Callable[..., ThrowTracks]:
+    """Return a function that measures an exact throw from given zeros of height."""
 
+    def make_throw(rig, *, rate=5000.0, duration=0.1, start=0.0153, zeros=(0.0, 0.0), **options):
+        time = np.arange(0.0, duration, 1.0 / rate)
+        plate = Underdamped.of(rig.engine).position(time - start)
+        projectile = follow(rig, until=time[-1] - start).projectile_position(time - start)
+        return see(time, plate - zeros[0], projectile - zeros[1], **options)
 
-def _make_model(rig: Rig, throws: list[ThrowTracks], description: FitDescription) -> RigModel:
-    """Return the model of throws around a rig, with the fits of the plates alone."""
-    model = RigModel(tuple(throws), rig, description, ThrowSimulator(), initial={})
-    return replace(model, initial={
-        model.own_name(name, number): value
-        for number, throw in enumerate(throws)
-        for name, value in fit_plate(throw.plate).by_name.items()
-    })
+    return make_throw
 
 
 RIGS = {
@@ -59,15 +50,14 @@ RIGS = {
     'caught up': Rig(layer=Layer(thickness=5.6e-3, wave_speed=15.0)),
     'thick': Rig(engine=Engine(frequency=40.0), layer=Layer(thickness=29.1e-3, wave_speed=5.0)),
 }
-NOISES = (5e-6, 2e-5)
 
 
 @pytest.fixture(scope='session')
-def fits() -> dict[tuple[str, float], tuple[Rig, RigFit]]:
+def fits(make_throw) -> dict[tuple[str, float], tuple[Rig, RigFit]]:
     """Return rigs and their fits to one throw, whose layer and engine start far away."""
     found = {}
-    for (name, rig), noise in itertools.product(RIGS.items(), NOISES):
-        throw = _make_throw(
+    for (name, rig), noise in itertools.product(RIGS.items(), (5e-6, 2e-5)):
+        throw = make_throw(
             rig, rate=3000.0, duration=0.02 + 3.5 / rig.engine.frequency, noise=noise,
             zeros=(0.3, -0.2),
         )
@@ -75,21 +65,6 @@ def fits() -> dict[tuple[str, float], tuple[Rig, RigFit]]:
         known = replace(rig, engine=far, layer=replace(rig.layer, wave_speed=50.0))
         found[name, noise] = rig, fit_rig([throw], known)
     return found
-
-
-@pytest.fixture
-def see() -> Callable[..., ThrowTracks]:
-    return _measure
-
-
-@pytest.fixture(scope='session')
-def make_throw() -> Callable[..., ThrowTracks]:
-    return _make_throw
-
-
-@pytest.fixture(scope='session')
-def make_model() -> Callable[..., RigModel]:
-    return _make_model
 
 
 @pytest.fixture(scope='session')

@@ -41,17 +41,6 @@ def test_plate_fit_gives_the_reference_values(reference_throw):
     assert fit_warnings(found) == []
 
 
-@pytest.mark.slow
-def test_plate_fit_is_unbiased_and_its_errors_are_correct():
-    time, motion = np.arange(0.0, 0.1, 1.0 / 1500.0), Underdamped(**TRUTH)
-    pulls = []
-    for seed in range(100):
-        fit = fit_plate(track_of(motion, time, START, noise=2e-5, seed=seed))
-        pulls.append((fit.values - [63.2, 0.064, 2e-3, START, 0.0]) / fit.errors)
-    assert np.abs(np.mean(pulls, axis=0)).max() < 0.3
-    assert np.std(pulls, axis=0) == pytest.approx(np.ones(5), abs=0.25)
-
-
 @pytest.mark.parametrize('frequency', [4.0, 63.2, 400.0])
 @pytest.mark.parametrize('damping_ratio', [0.0, 0.064, 0.6])
 @pytest.mark.parametrize('periods', [0.8, 25.0])
@@ -80,19 +69,14 @@ def test_stated_errors_of_stamps_are_part_of_the_noise(true, stated):
     assert frequency.value == pytest.approx(63.2, abs=3.5 * frequency.error)
 
 
-def test_plate_that_falls_or_has_no_recorded_rise_is_refused():
-    motion = Underdamped(**TRUTH)
-    time = np.arange(0.0, 0.1, 2e-4)
-    with pytest.raises(FitError, match=r'goes down by about 0\.002 m'):
-        fit_plate(Track(time=time, position=-motion.position(time - START)))
-    for begin in (0.025, 0.028, 0.06):
-        late = track_of(motion, np.arange(begin, 0.2, 2e-4), START, noise=1e-5)
-        with pytest.raises(FitError, match='track must begin before it moves'):
-            fit_plate(late)
-
-
-def test_plate_that_moves_to_and_fro_evenly_is_no_damped_step():
-    time = np.arange(0.0, 0.2, 5e-4)
-    position = 2e-3 * np.abs((time - 0.02).clip(0.0) / 0.03 % 2.0 - 1.0)
-    with pytest.raises(FitError, match='does not move as a damped step'):
-        fit_plate(Track(time=time, position=2e-3 - position))
+def test_plate_that_falls_or_has_no_recorded_rise_or_no_damped_step_is_refused():
+    motion, time = Underdamped(**TRUTH), np.arange(0.0, 0.2, 2e-4)
+    to_and_fro = np.abs((time - 0.02).clip(0.0) / 0.03 % 2.0 - 1.0)
+    late = (slice(round(begin / 2e-4), None) for begin in (0.025, 0.028, 0.06))
+    for position, part, message in (
+        (-motion.position(time - START), slice(500), r'goes down by about 0\.002 m'),
+        (2e-3 - 2e-3 * to_and_fro, slice(None), 'does not move as a damped step'),
+        *((motion.position(time - START), part, 'must begin before it moves') for part in late),
+    ):
+        with pytest.raises(FitError, match=message):
+            fit_plate(Track(time=time[part], position=position[part]))

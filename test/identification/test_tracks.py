@@ -14,10 +14,8 @@ import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.identification.track_csv import read_csv, UNITS
 from soft_throw_ros.identification.tracks import (
-    fall_acceleration,
     FEWEST,
     find_throws,
-    noise_of,
     split_at_breaks,
     ThrowTracks,
     Track,
@@ -28,17 +26,13 @@ BODIES = ('plate', 'projectile')
 ROWS = [f'{t:.4f},{t**2:.6f},{t + 0.01:.6f}' for t in np.arange(20) * 2e-4]
 
 
-@pytest.mark.parametrize(
-    ('head', 'count', 'value'),
-    [
-        ('0,1e9,0', 0, "file:1: plate must be within +- 1e+06, got '1e9'"),
-        ('t,piston,ball', 20, 'no column is named plate or z_plate or zp or z_p, got'),
-        ('frame,plate,projectile', 20, 'file:1: no column is named t or time, got'),
-        ('t,plate [inch],projectile', 20, "got 'plate [inch]'"),
-        ('t [h],plate,projectile', 20, 'file:1: time must be in s or ms or us, got'),
-        ('', 5, f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
-    ],
-)
+@pytest.mark.parametrize(('head', 'count', 'value'), [
+    ('0,1e9,0', 0, "file:1: plate must be within +- 1e+06, got '1e9'"),
+    ('t,piston,ball', 20, 'no column is named plate or z_plate or zp or z_p, got'),
+    ('t,plate [inch],projectile', 20, "got 'plate [inch]'"),
+    ('t [h],plate,projectile', 20, 'file:1: time must be in s or ms or us, got'),
+    ('', 5, f'file: 5 heights of the plate, where at least {FEWEST} are needed'),
+])
 def test_bad_csv_is_refused_with_its_line(head, count, value):
     with pytest.raises(TrackError, match=re.escape(value)):
         read_csv([head, *ROWS[:count]], 'file', BODIES)
@@ -70,21 +64,19 @@ def test_noise_is_distinguished_from_motion_with_outliers_and_lost_samples(rate,
     time = np.arange(0.0, 1.0, 1.0 / rate)
     position = PLATE.position(time - 0.1) + 2e-5 * rng.normal(size=time.size)
     position[[50, 700]] += 5e-3
-    seen = rng.random(time.size) >= lost
-    assert noise_of(time[seen], position[seen]) == pytest.approx(2e-5, rel=0.05)
+    track = Track(time=time, position=position).where(rng.random(time.size) >= lost)
+    assert track.noise == pytest.approx(2e-5, rel=0.05)
 
 
 @pytest.mark.parametrize('noise', [0.0, 5e-6, 2e-5])
 def test_noise_of_rounded_heights_is_at_least_the_rounding_error(noise):
-    time = np.arange(0.0, 0.1, 2e-4)
-    noises = []
+    time, rounding, noises = np.arange(0.0, 0.1, 2e-4), 2e-5 / np.sqrt(12.0), []
     for seed in range(8):
         scatter = noise * np.random.default_rng(seed).normal(size=time.size)
         heights = 2e-5 * np.round((PLATE.position(time - 0.03) + scatter) / 2e-5)
-        noises.append(noise_of(time, heights))
-    rounding = 2e-5 / np.sqrt(12.0)
-    assert noise_of(time, np.zeros(time.size)) > 0.0
+        noises.append(Track(time=time, position=heights).noise)
     assert 0.99 * rounding < np.mean(noises) < 1.1 * np.hypot(noise, rounding)
+    assert Track(time=time, position=np.zeros(time.size)).noise > 0.0
 
 
 @pytest.mark.parametrize('step', [0.0, 1e-5, 5e-5])
@@ -100,19 +92,6 @@ def test_heights_that_stand_still_in_motion_are_stuck(step, first, count, height
     track = Track(time=time, position=position)
     assert track.is_stuck[first + 1:first + count].all()
     assert track.is_stuck.sum() <= count + 1
-
-
-@pytest.mark.parametrize(('factor', 'gravity'), [(1.0, 9.81), (2.0, 2.4525)])
-def test_fall_acceleration_agrees_with_the_free_flight(factor, gravity):
-    time = np.arange(0.0, 0.05, 2e-4)
-    plate = PLATE.position(time - 0.01)
-    flight = np.maximum(time - 0.02, 0.0)
-    projectile = np.where(flight > 0.0, 3e-3 + 1.4 * flight - 0.5 * 9.81 * flight**2, plate)
-    heights = np.stack([plate, projectile])
-    heights += 1e-5 * np.random.default_rng(1).normal(size=heights.shape)
-    tracks = [Track(time=factor * time, position=item) for item in heights]
-    assert fall_acceleration(*tracks) == pytest.approx(gravity, rel=0.02)
-    assert fall_acceleration(tracks[0], tracks[0]) is None
 
 
 def record(*, starts, period=0.5, rate=2000.0, noise=1e-5, back=0.3, begin=0.0):
@@ -132,22 +111,22 @@ def split_into_throws(record):
     return record.split(find_throws(record.plate), 'throw')
 
 
-@pytest.mark.parametrize('noise', [0.0, 1e-5, 2e-4])  # up to a tenth of the amplitude
-def test_record_is_cut_into_its_throws(noise):
-    starts = [0.2, 0.7, 1.3, 1.8]
-    throws = split_into_throws(record(starts=starts, noise=noise))
-    assert [throw.name for throw in throws] == [f'bag, throw {n}' for n in range(1, 5)]
-    for start, throw in zip(starts, throws, strict=True):
-        assert start - 0.01 < throw.plate.time[0] < start
-        assert start + 0.14 < throw.plate.time[-1] < start + 0.16  # six periods
+@pytest.mark.parametrize(('starts', 'options'), [
+    ([0.2, 0.7, 1.3, 1.8], {'noise': 0.0}),
+    ([0.2, 0.7, 1.3, 1.8], {'noise': 2e-4}),  # a tenth of the amplitude
+    ([0.2, 0.345, 0.49], {'period': 0.145, 'back': 0.02}),  # less than six periods apart
+    ([5.0, 300.0, 590.0], {'rate': 400.0}),  # ten samples in a period
+])
+def test_record_is_cut_into_its_throws(starts, options):
+    throws = split_into_throws(record(starts=starts, **options))
+    assert [throw.name for throw in throws] == [f'bag, throw {n + 1}' for n in range(len(starts))]
+    edges = [throw.plate.time[index] for throw in throws for index in (0, -1)]
+    assert edges == sorted(edges)
+    for start, following, throw in zip(starts, [*starts[1:], np.inf], throws, strict=True):
+        first, last = throw.plate.time[[0, -1]]
+        assert start - 0.01 < first < start
+        assert min(start + 0.14, following - 0.01) < last < start + 0.16  # six periods
         assert throw.projectile.time == pytest.approx(throw.plate.time)
-
-
-def test_throws_in_quick_succession_do_not_overlap():
-    starts = [0.2, 0.345, 0.49]  # less than six periods apart
-    first, second, last = split_into_throws(record(starts=starts, period=0.145, back=0.02))
-    assert first.plate.time[-1] < second.plate.time[0] < starts[1]
-    assert second.plate.time[-1] < last.plate.time[0] < starts[2]
 
 
 @pytest.mark.parametrize(('seen', 'count'), [(0.002, 2), (0.045, 2), (0.055, 3)])
@@ -156,24 +135,19 @@ def test_throw_cut_off_by_the_end_of_the_record_is_ignored(seen, count):
     assert len(split_into_throws(whole.between(0.0, 1.3 + seen))) == count
 
 
-def test_long_record_is_cut():
-    starts = [5.0, 300.0, 590.0]  # ten samples in a period
-    throws = split_into_throws(record(starts=starts, rate=400.0))
-    assert [throw.plate.time[0] for throw in throws] == pytest.approx(starts, abs=0.02)
-
-
-def test_record_is_cut_at_long_gaps():
-    first, second = record(starts=[0.2]), record(starts=[0.3])
-    for pause in (2.0, 1.7e9):  # the second is a clock that was set
-        time = np.append(first.plate.time, second.plate.time + pause)
-        track = Track(time=time, position=np.append(first.plate.position, second.plate.position))
-        parts = split_at_breaks(ThrowTracks(name='bag', plate=track, projectile=track))
-        assert [part.name for part in parts] == ['bag, part 1', 'bag, part 2']
-        assert [part.plate.time.size for part in parts] == [1400, 1600]
-        stray = track.where(np.arange(track.time.size) <= first.plate.time.size)
-        (only,) = split_at_breaks(ThrowTracks(name='bag', plate=stray))
-        assert only.plate.time.size == first.plate.time.size
-    assert split_at_breaks(first) == [first]
+@pytest.mark.parametrize('pause', [2.0, 1.7e9])  # the second is a clock that was set
+def test_record_is_cut_at_long_gaps(pause):
+    first, second = (record(starts=[start]).plate for start in (0.2, 0.3))
+    track = Track(
+        time=np.append(first.time, second.time + pause),
+        position=np.append(first.position, second.position),
+    )
+    parts = split_at_breaks(ThrowTracks(name='bag', plate=track, projectile=track))
+    assert [part.name for part in parts] == ['bag, part 1', 'bag, part 2']
+    assert [part.plate.time.size for part in parts] == [1400, 1600]
+    stray = track.where(np.arange(track.time.size) <= first.time.size)
+    (only,) = split_at_breaks(ThrowTracks(name='bag', plate=stray))
+    assert only.plate.time.size == first.time.size
 
 
 @pytest.mark.parametrize('options', [
@@ -183,4 +157,4 @@ def test_record_is_cut_at_long_gaps():
 ])
 def test_record_of_one_settling_throw_is_not_cut(options):
     whole = record(starts=[0.2], **options)
-    assert split_into_throws(whole) == [whole]
+    assert split_into_throws(whole) == split_at_breaks(whole) == [whole]

@@ -22,9 +22,8 @@ from soft_throw_ros.recording.rerun_viewer import free_port, url_of
 
 pytest.importorskip('rerun')
 
-from test.recording.rrd_files import RrdFile, viewer_at  # noqa: E402, I100
-
-from rerun.experimental import ViewerClient  # noqa: E402
+from rerun.experimental import ViewerClient  # noqa: E402, I100
+from rrd_files import RrdFile, viewer_at  # noqa: E402
 from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
 
 pytestmark = pytest.mark.timeout(180)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 import contextlib
 import os
 from pathlib import Path
@@ -14,26 +13,12 @@ import subprocess
 import sys
 import tracemalloc
 
-from bags import (
-    accepted,
-    channel,
-    datas,
-    few,
-    notes,
-    PLAIN,
-    plain,
-    profiles,
-    read,
-    saved,
-    text,
-    write,
-)
+from bags import accepted, channel, datas, few, notes, plain, profiles, read, saved, text, write
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 import pytest
-from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Reader as RosbagsReader
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -42,7 +27,6 @@ from rosbags.typesys import get_typestore, Stores
 from soft_throw_ros.recording.bag_writer import BagWriter, CHUNK_SIZE
 from soft_throw_ros.recording.recovery import recover
 from soft_throw_ros.storage import bag_reader
-from soft_throw_ros.storage.bag_folder import is_being_written
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 import yaml
@@ -60,17 +44,12 @@ def read_by_others(folder):
     with RosbagsReader(folder) as bag:
         rows = [(item.topic, time, bytes(data)) for item, time, data in bag.messages()]
         assert bag.message_count == len(rows)
-    theirs = []
-    for path in folder.glob('*.mcap'):
-        with path.open('rb') as file:
-            for _, topic, message in make_reader(file, validate_crcs=True).iter_messages():
-                theirs.append((topic.topic, message.log_time, message.data))
-    assert sorted(theirs) == sorted(rows)
+    assert sorted((topic, time, data) for topic, data, time, *_ in saved(folder)) == sorted(rows)
     return sorted(rows, key=lambda row: row[1])
 
 
 @contextlib.contextmanager
-def largest_file(size: int) -> Iterator[None]:
+def largest_file(size):
     """Limit the size of files that this process may write, like a full disk."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
@@ -78,9 +57,6 @@ def largest_file(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
-# The format
 
 
 @settings(few, max_examples=40)
@@ -111,16 +87,16 @@ def test_bag_is_read_by_all_and_recovered_up_to_its_damage(
     assert read(folder / 'bag', '/odd') == [row for row in rows if row[0] == '/odd']
     with BagReader(folder / 'bag') as reader:
         assert [m.sequence for m in reader.messages(by_log_time=False)] == list(range(len(times)))
-        span = reader.start_time, reader.end_time
-        assert span == (min(times, default=0), max(times, default=0))
+        assert reader.start_time == min(times, default=0)
+        assert reader.end_time == max(times, default=0)
     newest = max((folder / 'bag').glob('*.mcap'), key=lambda path: path.stat().st_mtime_ns)
     part, whole = read(newest), newest.read_bytes()
     path = folder / 'part/part_0.mcap'
     path.parent.mkdir()
     for name in ('cut', 'damaged'):
         is_cut = name == 'cut'
-        content = whole[:8 + int(cut * (len(whole) - 8))] if is_cut else data.draw(datas(whole))
-        path.write_bytes(content)
+        end = 8 + int(cut * (len(whole) - 8))
+        path.write_bytes(whole[:end] if is_cut else data.draw(datas(whole)))
         known = accepted(lambda: read(path), str(path))
         assert known is None if is_cut else set(known or ()) <= set(part)  # it never errs silently
         result = []
@@ -142,16 +118,13 @@ def test_bag_has_the_metadata_of_rosbag2(tmp_path):
         *_, (_, _, data) = bag.messages()
     assert TYPES.deserialize_cdr(data, second.msgtype).data == '4999 äöü'
     assert first.digest == TYPES.hash_rihs01('sensor_msgs/msg/JointState')
-    assert first.ext.offered_qos_profiles == parse_qos(states.qos)
-    (qos,) = second.ext.offered_qos_profiles
-    assert qos.durability is QosDurability.TRANSIENT_LOCAL
+    for connection, ours in ((first, states), (second, texts)):
+        assert connection.ext.offered_qos_profiles == parse_qos(ours.qos)
     with (folder / 'bag_0.mcap').open('rb') as file:
         reader = make_reader(file)
         assert reader.get_header().profile == 'ros2'
-        assert all(
-            chunk.uncompressed_size < 1.1 * CHUNK_SIZE
-            for chunk in reader.get_summary().chunk_indexes
-        )
+        chunks = reader.get_summary().chunk_indexes
+    assert all(chunk.uncompressed_size < 1.1 * CHUNK_SIZE for chunk in chunks)
     information = yaml.safe_load((folder / 'metadata.yaml').read_text())
     inside = yaml.safe_load(notes(folder)['rosbag2']['serialized_metadata'])
     assert inside == information['rosbag2_bagfile_information']
@@ -166,28 +139,27 @@ def test_equal_channels_are_merged_when_read(tmp_path):
         assert len(list(bag.messages())) == 3
 
 
-# Writing
-
-
 def test_bag_is_locked_and_never_overwritten(tmp_path):
     (tmp_path / 'file').touch()
-    with BagWriter(tmp_path / 'bag', distribution='') as writer:
+    bag = tmp_path / 'bag'
+    with BagWriter(bag, distribution='') as writer:
         writer.write(plain(0))
         with pytest.raises(ValueError, match=r'/plain: .* got -1 and 0'):
-            writer.write(Message(PLAIN, b'', -1, 0))
-        for name in ('bag', 'file'):
-            with pytest.raises(BagError, match=f'{name} exists'):
+            writer.write(plain(0)._replace(log_time=-1))
+        for name, reason in (
+            ('bag', 'bag exists'), ('file', 'file exists'), ('file/bag', 'bag: Not a directory'),
+        ):
+            with pytest.raises(BagError, match=reason):
                 BagWriter(tmp_path / name, distribution='')
-        for path in (tmp_path / 'bag', tmp_path / 'bag/bag_0.mcap'):
-            assert is_being_written(path)
+        for path in (bag, bag / 'bag_0.mcap'):
             for use in (BagReader, lambda path: recover(path, tmp_path / 'whole')):
                 with pytest.raises(BagError, match='being written'):
                     use(path)
-    assert not is_being_written(tmp_path / 'bag')
-    assert not is_being_written(tmp_path / 'missing')
-    assert len(read(tmp_path / 'bag')) == 1
-    with pytest.raises(BagError, match='file/bag: Not a directory'):
-        BagWriter(tmp_path / 'file/bag', distribution='')
+    assert len(read(bag)) == 1
+    recover(bag, tmp_path / 'whole')
+    for target in (tmp_path / 'whole', bag, bag / 'whole'):
+        with pytest.raises(BagError, match=str(target)):
+            recover(bag, target)
     writer = BagWriter(tmp_path / 'deleted', distribution='')
     shutil.rmtree(tmp_path / 'deleted')
     with pytest.raises(BagError, match=r'metadata\.yaml: No such file'):
@@ -213,7 +185,7 @@ def test_full_disk_is_named_and_loses_nothing_if_space_is_freed(tmp_path, option
         writer.close()
     assert len(reasons) == 3
     assert all('bag_0.mcap: File too large' in reason for reason in reasons)
-    assert writer.counts == {PLAIN: 5000}
+    assert writer.counts.total() == 5000
     assert [time for _, time, _ in read_by_others(tmp_path / 'bag')] == list(range(5000))
     sizes = [path.stat().st_size for path in tmp_path.glob('bag/*.mcap')]
     assert (len(sizes) > 5 and max(sizes) < 3 * CHUNK_SIZE) == bool(options)
@@ -229,14 +201,12 @@ def test_whole_chunk_counts_as_saved_if_the_disk_is_full_before_its_index(tmp_pa
             writer.write(plain(number))
             writer.flush()
 
-    with largest_file(writer.saved_size + room), pytest.raises(BagError, match='too large'):
+    begin = (path / 'bag_0.mcap').stat().st_size
+    with largest_file(begin + room), pytest.raises(BagError, match='too large'):
         fill()
-    for close in (writer.close, writer.flush, lambda: writer.write(plain(1))):
-        with pytest.raises(BagError, match='too large' if close == writer.close else 'is closed'):
-            close()
-    assert not is_being_written(path)
-    recovery = recover(path, tmp_path / 'recovered')
-    assert recovery.message_count == writer.counts[PLAIN]
+    with pytest.raises(BagError, match='too large'):
+        writer.close()
+    assert recover(path, tmp_path / 'recovered').saved.total() == writer.counts.total()
     for size in (10, 300):
         with largest_file(size), pytest.raises(BagError, match='File too large'):
             BagWriter(tmp_path / 'other', distribution='')  # which leaves nothing behind
@@ -271,20 +241,15 @@ for number in range(15):
 
 
 def test_killed_process_loses_only_messages_after_its_last_flush(tmp_path):
-    killed = subprocess.run(
-        [sys.executable, '-c', KILLED, str(tmp_path)], stdout=subprocess.PIPE, check=True,
-        cwd=ROOT, timeout=100,
-    )
-    for number, count in enumerate(map(int, killed.stdout.split())):
-        bag, target = tmp_path / f'bag{number}', tmp_path / f'whole{number}'
+    command = sys.executable, '-c', KILLED, str(tmp_path)
+    killed = subprocess.check_output(command, cwd=ROOT, timeout=100)
+    for number, count in enumerate(map(int, killed.split())):
+        bag = tmp_path / f'bag{number}'
         assert (bag / 'metadata.yaml').exists()
-        recovered = recover(bag, target)
-        steps = [time for _, time, _ in read_by_others(target)]
-        assert steps == list(range(recovered.message_count))
+        recovered = recover(bag, tmp_path / f'whole{number}')
+        steps = [time for _, time, _ in read_by_others(recovered.target)]
+        assert steps == list(range(recovered.saved.total()))
         assert len(steps) >= count
-
-
-# Bags of others
 
 
 @pytest.mark.parametrize(('version', 'plugin', 'mode', 'is_refused'), [
@@ -312,11 +277,10 @@ def test_bag_of_rosbags_is_read_or_refused_with_its_converter(
             with pytest.raises(BagError, match=r'theirs.*rosbags-convert'):
                 BagReader(path)
         return
-    recover(tmp_path / 'theirs', tmp_path / 'recovered')
-    for name in ('theirs', 'recovered'):
+    for path in (tmp_path / 'theirs', recover(tmp_path / 'theirs', tmp_path / 'new').target):
         rows = [('/a', text(str(number)), number) for number in range(300)]
-        assert [row[:3] for row in read(tmp_path / name)] == rows
-        with BagReader(tmp_path / name) as ours:
+        assert [row[:3] for row in read(path)] == rows
+        with BagReader(path) as ours:
             (only,) = ours.channels
         assert (only.type, parse_qos(only.qos)) == ('std_msgs/msg/String', offered)
 
@@ -355,36 +319,28 @@ def test_mcap_with_any_index_or_none_is_read_and_recovered(
     assert notes(bag)['name'] == {'key': 'value'}
 
 
-@pytest.mark.parametrize(
-    'damage', [None, lambda text: text[:300], lambda _: '[' * 1000,
-               lambda text: f'{text}# {"x" * 2**20}'],
-)
+@pytest.mark.parametrize('damage', [
+    None, lambda text: text[:300], lambda _: '[' * 1000, lambda text: f'{text}# {"x" * 2**20}',
+])
 def test_bag_is_read_without_its_metadata_but_not_without_a_file(tmp_path, damage):
-    folder = tmp_path / 'bag'
-    write(folder, map(plain, range(2000)), max_duration=1.5e-7)
-    rows, path = [*map(plain, range(2000))], folder / 'metadata.yaml'
+    folder = write(tmp_path / 'bag', map(plain, range(2000)), max_duration=1.5e-7)
+    path = folder / 'metadata.yaml'
     whole = path.read_text()
-    path.unlink()
-    if damage is not None:
-        path.write_text(damage(whole))
-    assert [row[2] for row in read(folder)] == [row.log_time for row in rows]  # 2 before 10
+    path.write_text(damage(whole)) if damage else path.unlink()
+    assert [row[2] for row in read(folder)] == list(range(2000))  # 2 before 10
     path.write_text(whole)
     (folder / 'bag_3.mcap').write_bytes(b'')
     (folder / 'bag_5.mcap').unlink()
-    with pytest.raises(UnfinishedError, match=r'bag_5\.mcap.*soft-throw recover'):
+    with pytest.raises(UnfinishedError, match=r'bag_3\.mcap.*soft-throw recover'):
         BagReader(folder)
     recovered = recover(folder, tmp_path / 'whole')
-    assert ['bag_5' in recovered.omitted[0], 'bag_3' in recovered.omitted[1]] == [True] * 2
-    assert recovered.message_count == 2000 - 2 * 150
+    assert ['bag_3' in recovered.omitted[0], 'bag_5' in recovered.omitted[1]] == [True] * 2
+    assert recovered.saved.total() == 2000 - 2 * 150
 
 
 def test_file_or_path_that_is_no_bag_is_refused_with_a_reason(tmp_path):
     path = tmp_path / 'bag.mcap'
-    for data, reason in (
-        (b'', 'empty'),
-        (b'#ROSBAG V2.0\n', 'rosbags-convert'),
-        (b'\x28\xb5\x2f\xfd' + b'\xff' * 100, 'compressed'),
-    ):
+    for data, reason in ((b'', 'empty'), (b'#ROSBAG V2.0\n', 'is compressed.*rosbags-convert')):
         path.write_bytes(data)
         for bag in (tmp_path, path):
             with pytest.raises(BagError, match=rf'bag\.mcap.*{reason}'):
@@ -396,43 +352,16 @@ def test_file_or_path_that_is_no_bag_is_refused_with_a_reason(tmp_path):
             BagReader(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ('encoding', 'schema', 'time', 'reason'),
-    [
-        ('json', 1, 0, r"/a /b [^\n]*'json'"),
-        ('cdr', 0, 0, 'nothing defines channel 1'),
-        ('cdr', 1, 2**63, f'{2**63}'),
-    ],
-)
+@pytest.mark.parametrize(('encoding', 'schema', 'time', 'reason'), [
+    ('json', 1, 0, r"/a /b [^\n]*'json'"), ('cdr', 0, 0, 'nothing defines channel 1'),
+    ('cdr', 1, 2**63, f'{2**63}'),
+])
 def test_messages_that_are_not_of_ros_are_refused_in_one_line(
     tmp_path, encoding, schema, time, reason
 ):
     write_by_mcap(tmp_path / 'theirs.mcap', [time], '/a\n/b', encoding, schema)
     with pytest.raises(BagError, match=rf'^[^\n]*theirs\.mcap: [^\n]*{reason}[^\n]*$'):
         read(tmp_path / 'theirs.mcap')
-
-
-# Damage
-
-
-def test_bag_is_read_up_to_the_first_damaged_chunk_and_recovered_file_by_file(tmp_path):
-    folder = write(tmp_path / 'bag', map(plain, range(900)), max_duration=3e-7)
-    before = {path: path.read_bytes() for path in folder.iterdir()}
-    damaged = folder / 'bag_1.mcap'
-    offset = before[damaged].index(b'zstd') + 100
-    damaged.write_bytes(before[damaged][:offset] + b'~' + before[damaged][offset + 1:])
-    messages = []
-    with BagReader(folder) as bag, pytest.raises(UnfinishedError, match='chunk'):
-        messages.extend(bag.messages())  # up to the error
-    assert [message.log_time for message in messages] == list(range(300))
-    recovered = recover(folder, tmp_path / 'whole')
-    assert recovered.message_count == 600
-    (omitted,) = recovered.omitted
-    assert str(damaged) in omitted
-    assert {path for path in before if path.read_bytes() != before[path]} == {damaged}
-    for target in (tmp_path / 'whole', folder, folder / 'whole'):
-        with pytest.raises(BagError, match=str(target)):
-            recover(folder, target)
 
 
 @pytest.mark.parametrize('size', [10**9, 10**12])

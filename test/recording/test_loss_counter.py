@@ -13,15 +13,12 @@ FIRST, SECOND = b'first', b'second'
 @pytest.mark.parametrize(('updates', 'lost'), [
     # Gaps of named publishers are losses, and first numbers are not
     ([([(8, FIRST), (1, SECOND), (9, FIRST), (3, SECOND), (12, FIRST)], [FIRST, SECOND], 99)], 3),
-    # The same holds for the only publisher, named or not
+    # The same holds for the only publisher, named or not, with repeated and late messages
     *(
         ([([(number, publisher) for number in numbers], [FIRST], 99), ([], [FIRST], 99)], lost)
         for publisher in (FIRST, None)
         for numbers, lost in (
-            ([6, 7, 10, 20], 2 + 9),
-            ([1, 2, 2, 1, 3], 0),  # repeated
-            ([8, 9, 3, 4, 5, 6, 7, 10], 0),  # latched messages that come late
-            ([5001], 0),
+            ([6, 7, 10, 20], 2 + 9), ([1, 2, 2, 1, 3], 0), ([8, 9, 3, 4, 5, 6, 7, 10], 0),
         )
     ),
     # Reports count from the second unnamed publisher on, or without numbers

@@ -14,16 +14,11 @@ import time
 
 from bags import wait_until
 import pytest
-from soft_throw_ros.recording.rerun_viewer import (
-    free_port,
-    listens,
-    Viewer,
-    ViewerError,
-)
+from soft_throw_ros.recording.rerun_viewer import free_port, listens, Viewer, ViewerError
 
 pytest.importorskip('rerun')
 
-from test.recording.rrd_files import viewer_at  # noqa: E402, I100
+from rrd_files import viewer_at  # noqa: E402, I100
 
 
 def test_viewer_collects_no_telemetry(tmp_path, monkeypatch) -> None:
@@ -57,11 +52,8 @@ def test_viewer_ends_with_its_killed_parent_unless_detached(stays) -> None:
     )
     done = subprocess.run([sys.executable, '-c', code], stdout=subprocess.PIPE, check=False)
     try:
-        if stays:
-            time.sleep(0.5)
-            assert listens(port)
-        else:
-            wait_until(lambda: not listens(port))
+        time.sleep(0.5)
+        wait_until(lambda: listens(port) == stays)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(int(done.stdout), signal.SIGKILL)

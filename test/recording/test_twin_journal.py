@@ -10,12 +10,8 @@ from bags import BEGIN, channel, text
 import numpy as np
 import pytest
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.twin_journal import (
-    DECODING_ERRORS,
-    find_throws,
-    ThrowStart,
-    TwinJournal,
-)
+from soft_throw_ros.recording import twin_journal
+from soft_throw_ros.recording.twin_journal import find_throws, ThrowStart, TwinJournal
 from soft_throw_ros.storage.message import Message, SECOND
 from twin_runs import Run
 
@@ -26,20 +22,20 @@ def lines_of(run: Run) -> list[Message]:
     return [Message(JOURNAL, text(line), 1, 1) for line in run.journal]
 
 
-def read(run: Run) -> Any:
+def rig_of(run: Run) -> Any:
     journal = TwinJournal()
     for message in lines_of(run):
         journal.read(message)
-    return journal
+    return journal.rig
 
 
 def test_rig_changes_with_a_throw() -> None:
     twin = Run(throw__period=0.1, time_scale=0.1)
     twin.go(1500)
     twin.session.change({'layer.thickness': 0.01})
-    assert read(twin).rig == Rig()
+    assert rig_of(twin) == Rig()
     twin.go(1000)
-    assert read(twin).rig.layer.thickness == 0.01
+    assert rig_of(twin).layer.thickness == 0.01
 
 
 def test_a_throw_is_over_when_its_end_is_reported() -> None:
@@ -62,19 +58,14 @@ def test_stamps_of_slow_motion_are_times_of_the_rig() -> None:
     assert throw.seconds_to(stamps) == pytest.approx([-0.5, 0.0, 2.0])
 
 
-@pytest.mark.parametrize(
-    'line',
-    [
-        '{}',
-        '[' * 100_000,
-        '{"kind": "throw", "step": 3}',
-        '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
-        '{"kind": "start", "step": 3, "settings": [1]}',
-        '{"kind": "throw", "step": 3, "throw": 1, "settings": {}, "schedule": {"rate": -1}}',
-    ],
-)
+@pytest.mark.parametrize('line', [
+    '{}', '[' * 100_000, '{"kind": "throw", "step": 3}',
+    '{"kind": "start", "step": 3, "settings": {"layer.thickness": "thick"}}',
+    '{"kind": "start", "step": 3, "settings": [1]}',
+    '{"kind": "throw", "step": 3, "throw": 1, "settings": {}, "schedule": {"rate": -1}}',
+])
 def test_invalid_journal_lines_are_refused_like_damage(line) -> None:
     journal = TwinJournal()
-    with pytest.raises(DECODING_ERRORS):
+    with pytest.raises(twin_journal.DECODING_ERRORS):
         journal.read(Message(JOURNAL, text(line), 5, 5))
     assert journal.rig is None

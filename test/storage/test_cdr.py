@@ -1,17 +1,22 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Messages JointState as bytes, compared with an independent encoder."""
+"""Messages JointState as bytes, compared with an independent encoder, and in bags."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from bags import BEGIN, text, write
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
+from soft_throw_ros.configuration.interface import JOINT_STATE, TEXT
+from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import JointStateEncoder, JointStateReader, MessageError
+from soft_throw_ros.storage.message import Channel, Message
+from soft_throw_ros.storage.recorded_positions import read_positions
 
 STAMP = 1_700_000_000_123_456_789
 STORES = [get_typestore(Stores.ROS2_JAZZY), get_typestore(Stores.ROS2_KILTED)]
@@ -62,3 +67,32 @@ def test_padding_of_joint_states_is_ignored() -> None:
     longer = message + bytes(12)  # `serialize_message` of rclpy leaves up to a dozen bytes
     rows = JointStateReader().read_all([message, padded, longer]).position
     np.testing.assert_array_equal(rows, [[0.0, 1.0]] * 3)
+
+
+STATES = Channel(topic='/rig/states', type=JOINT_STATE, schema='string name')
+OTHERS = Channel(topic='/other', type=JOINT_STATE, schema='string name')
+JOURNAL = Channel(topic='/rig/journal', type=TEXT, schema='string data')
+SETTINGS = '{"kind":"start","settings":{"joint_names.plate":"table","time_scale":0.1}}'
+
+
+def test_joints_are_found_by_the_names_of_the_journal_and_other_messages_are_counted(tmp_path):
+    def positions(names, values, stamp):
+        return joint_state(names, [values, [], []], stamp=stamp)
+
+    contents = [
+        (JOURNAL, text(SETTINGS)),
+        (STATES, positions(('projectile', 'plate', 'table'), [2.0, 9.0, 1.0], 0)),
+        (STATES, positions(('table',), [3.0], 5)),
+        (STATES, positions(('table',), [4.0], 5)),  # the first of equal stamps counts
+        (STATES, text('no joint state')),
+        (OTHERS, positions(('plate', 'table'), [3.0, 4.0], 0)),  # without a journal beside it
+        (OTHERS, positions(('arm',), [4.0], 1)),
+    ]
+    messages = [Message(channel, data, BEGIN, BEGIN) for channel, data in contents]
+    with BagReader(write(tmp_path / 'bag', messages)) as reader:
+        recorded = read_positions(reader, ['/rig/states', '/other'], ('plate', 'projectile'))
+    states, others = recorded['/rig/states'], recorded['/other']
+    np.testing.assert_equal(states.rows, {0: [1.0, 2.0], 5: [3.0, np.nan]})
+    assert (states.unreadable, states.names) == (1, {'plate', 'projectile', 'table'})
+    np.testing.assert_equal(others.rows, {0: [3.0, np.nan], 1: [np.nan, np.nan]})
+    assert (states.time_scale, others.time_scale) == (0.1, 1.0)

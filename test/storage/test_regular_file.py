@@ -26,8 +26,8 @@ READERS = {
 @pytest.mark.parametrize('kind', READERS)
 def test_files_that_block_or_never_end_are_refused_at_once(kind: str, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'fifo')
-    for name, target in (('to_fifo', tmp_path / 'fifo'), ('to_device', '/dev/zero')):
-        path = tmp_path / (name + ('.mp4' if kind == 'video' else '.csv'))
+    for target in (tmp_path / 'fifo', Path('/dev/zero')):
+        path = tmp_path / f'to_{target.name}.{"mp4" if kind == "video" else "csv"}'
         path.symlink_to(target)
         with pytest.raises(ValueError, match=r'^[^\n]*is not a regular file[^\n]*$'):
             READERS[kind](path)

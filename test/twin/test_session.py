@@ -235,7 +235,7 @@ def test_results_agree_with_the_exact_throw_and_loads_end_with_the_release(
     assert release.peak_plate_speed == pytest.approx(exact.peak_plate_speed, rel=1e-12)
     loose = 1e-3 + 20.0 * tolerance
     assert release.apex_height == pytest.approx(exact.apex_height, rel=loose)
-    assert release.peak_strain == pytest.approx(float(np.max(exact.peak_strain)), rel=loose)
+    assert release.peak_strain == pytest.approx(float(np.max(exact.loads.strain)), rel=loose)
     assert release.peak_plate_force == pytest.approx(exact.loads.plate_force, rel=loose)
     assert release.peak_acceleration == pytest.approx(exact.loads.acceleration, rel=loose)
     assert release.plate_work > 0.5 * exact.rig.projectile.mass * exact.ejection_speed**2
