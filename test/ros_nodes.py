@@ -43,8 +43,8 @@ from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin.results import Outputs, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Sample
 from std_srvs.srv import Trigger
+from twin_runs import Sample
 
 with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)

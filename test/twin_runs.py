@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 import itertools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,32 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import make_stepper
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.prepared_rig import prepare
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, ThrowResult
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import SECOND, TickSchedule
+from soft_throw_ros.twin.sample_buffer import Samples
+from soft_throw_ros.twin.session import Session, TickSchedule
 
 BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
 
 PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
 """Readings of the sensors at height 0. [m]"""
+
+
+class Sample(NamedTuple):
+    """Heights measured at one time, NaN if not measured [m]."""
+
+    stamp_ns: int
+    plate: float
+    projectile: float = math.nan
+
+
+def samples_of(samples: Sequence[Sample]) -> Samples:
+    """Put samples into arrays."""
+    stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
+    return Samples(stamps, np.array([sample[1:] for sample in samples], float).reshape(-1, 2))
 
 
 class Run:
@@ -45,7 +60,7 @@ class Run:
         self.outputs: list[Outputs] = []
         self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
-        self.session = Session(self.settings, on_entry=self.on_entry)
+        self.session = Session(prepare(self.settings), on_entry=self.on_entry)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
@@ -65,7 +80,7 @@ class Run:
         self.journal.append(line)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        self.session.measure(Samples.of(samples), clock_offset_ns=self.clock_offset_ns)
+        self.session.measure(samples_of(samples), clock_offset_ns=self.clock_offset_ns)
 
     def on_step(self, outputs: Outputs) -> None:
         self.outputs.append(outputs)

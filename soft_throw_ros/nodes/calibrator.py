@@ -224,8 +224,8 @@ class Calibrator(RunnableNode):
                 continue
             if result.stage == 'final' and not self._worker.is_alive():
                 self._ended = result, msg_to_time(msg.header.stamp)
-                if result.disturbances is not None:
-                    self._measured.clock_offset_ns = result.disturbances.clock_offset_ns
+                if result.clock_offset_ns is not None:
+                    self._measured.clock_offset_ns = result.clock_offset_ns
 
     def _read_measurements(self) -> None:
         """Read measurements, and use the last throw as soon as its track is complete."""
@@ -250,7 +250,7 @@ class Calibrator(RunnableNode):
     def _on_measured_throw(self, result: ThrowResult, begin_ns: int, end_ns: int) -> None:
         """Collect a throw; identify the rig, or command a motion, after enough of them."""
         comparison, settings = result.comparison, self.parameters.settings
-        if result.disturbances is None or result.ended_by == 'gap':  # there is no whole track
+        if result.clock_offset_ns is None or result.ended_by == 'gap':  # there is no whole track
             return
         if result.rig != self._rig_of_throws:  # one fit needs throws of one rig
             self._mispredicted, self._predicted = [], []

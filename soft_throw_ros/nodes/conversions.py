@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 import struct
 from types import MappingProxyType
@@ -28,7 +28,7 @@ from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.bag_folder import load_profiles
 from soft_throw_ros.storage.message import LATEST, SECOND
-from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
+from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -225,11 +225,13 @@ def msg_to_motion(message: JointTrajectory, joint: str) -> SampledMotion:
 def throw_text(result: ThrowResult) -> str:
     """Return the release of a throw with warnings, or the reason why the throw is invalid."""
     if not result.is_valid:
-        text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
+        text = (
+            f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms (see '
+            'measurement in /diagnostics)'
+        )
         if result.ended_by == 'noise':
             text = 'the plate samples are noisy: increase measured.smoothing_window or the rate'
-        causes = [f'throw {result.throw} is invalid: {text}', *_causes(result.disturbances, 0)]
-        return '; '.join(causes)
+        return f'throw {result.throw} is invalid: {text}'
     if result.first is None:
         return f'throw {result.throw}: the projectile was not released'
     event = 'release predicted' if result.stage == 'predicted' else 'released'
@@ -259,22 +261,8 @@ def comparison_text(result: ThrowResult) -> str:
     rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
     if comparison.is_within_threshold:
         return f'the projectile followed the model within {rms:.3g} um rms'
-    causes = ', '.join(_causes(result.disturbances, comparison.samples))
     return (
         f'the projectile deviated from the model by {rms:.3g} um rms, more than '
-        f'measured.residual_threshold {threshold:.3g} um: '
-        + (causes or 'the layer has aged or slipped, or the parameters are wrong')
+        f'measured.residual_threshold {threshold:.3g} um: the layer has aged or slipped, or the '
+        'parameters are wrong'
     )
-
-
-def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
-    """Yield the disturbances of a throw with a number of samples, if any."""
-    if disturbances is None:
-        return
-    if disturbances.samples_missing > MOST_LEFT_OUT * samples:
-        yield (
-            f'{disturbances.samples_missing} samples are missing or came too late (see '
-            'measurement in /diagnostics)'
-        )
-    if disturbances.time_skipped > 0.0:
-        yield f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'

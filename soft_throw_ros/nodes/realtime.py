@@ -29,8 +29,7 @@ from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
-from soft_throw_ros.twin.session import Session
-from soft_throw_ros.twin.tick_schedule import TickSchedule
+from soft_throw_ros.twin.session import Session, TickSchedule
 
 PRIORITY = 10  # real-time priority (SCHED_FIFO) of the tick thread [-]
 _SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]

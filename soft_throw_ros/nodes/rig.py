@@ -59,7 +59,7 @@ class SimulatedRig(RealTimeNode):
         self._played = self.parameters.checked.config.settings
         self._faults = _faults_of(SensorFaults, settings)
         self._deviations = self._next_deviations = self._find_deviations()
-        self.attach_session(Session(self._played, prepared=self.parameters.checked))
+        self.attach_session(Session(self.parameters.checked))
         create_subscription(self, RIG_TOPICS.plate_trajectory, self._on_trajectory)
 
     # Tick thread

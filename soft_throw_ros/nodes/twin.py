@@ -74,9 +74,7 @@ class Twin(RealTimeNode):
         self._joints = joint_names(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._serialize_command()
-        session = Session(
-            self.parameters.settings, on_entry=self.on_entry, prepared=self.parameters.checked
-        )
+        session = Session(self.parameters.checked, on_entry=self.on_entry)
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
@@ -183,7 +181,7 @@ class Twin(RealTimeNode):
         rig = result.rig, result.max_strain
         if not result.is_valid:
             return throw_text(result)
-        if result.stage == 'predicted' and is_first and not result.is_ahead:
+        if result.stage == 'predicted' and is_first and (result.lead or 0.0) <= 0.0:
             age = self.measurement.age_ns / SECOND
             is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
             late = f'predicted {-1e3 * (result.lead or 0.0):.2f} ms after the release'

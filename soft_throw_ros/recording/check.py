@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
+from soft_throw_ros.recording.twin_journal import DECODING_ERRORS
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
 from soft_throw_ros.storage.message import BagError, Message
@@ -27,7 +28,7 @@ MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come every second, after 5000 step
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
-_UNREPEATABLE = (RequestRejected, ValueError, ArithmeticError)
+_UNREPEATABLE = (RequestRejected, *DECODING_ERRORS)
 
 
 class CheckError(BagError):

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import contextlib
 from dataclasses import dataclass, replace
 from typing import Any
+import zlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,16 @@ from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.cdr import decode
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.storage.message import Message, SECOND
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Floats
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.twin.session import TickSchedule
 
 Stamps = NDArray[np.int64]
 
 DECODING_ERRORS = (  # of damaged bytes, or another program's messages on a topic of that name
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+    zlib.error,
 )
 
 
@@ -90,7 +92,7 @@ class TwinJournal:
     def _start_throw(self, entry: journal.Entry) -> None:
         onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
         if onset is None:
-            stamp = journal.decode_schedule(entry).deadline(entry['step'])
+            stamp = TickSchedule(**entry['schedule']).deadline(entry['step'])
         self._take_effect(entry)
         self.rest_heights = None
         if onset is not None:

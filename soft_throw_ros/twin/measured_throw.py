@@ -3,9 +3,8 @@
 """
 A throw of a measured plate, with states and predictions of the model ahead of the rig.
 
-A wave needs a crossing time from the plate to the projectile. Therefore the motion of the
-projectile is known for a crossing time longer than the motion of the plate: a fork of the stepper
-advances with any continuation of the plate's motion (see `Stepper.sync_from`).
+A wave needs a crossing time from the plate to the projectile, whose motion is therefore known for
+a crossing time longer than the motion of the plate.
 """
 
 from __future__ import annotations
@@ -19,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (
     layer_of,
+    MOST_SHARE,
     state_of,
     stepper_of,
     THROW_FIELD_LENGTH,
@@ -30,7 +31,6 @@ from soft_throw_ros.twin.prepared_rig import (
 from soft_throw_ros.twin.results import (
     Accuracy,
     Comparison,
-    Disturbances,
     LayerState,
     Outputs,
     PredictedState,
@@ -41,7 +41,6 @@ from soft_throw_ros.twin.results import (
 )
 from soft_throw_ros.twin.rig_states import OngoingThrow
 from soft_throw_ros.twin.sample_buffer import Onset, PAST, SampleBuffer
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 if TYPE_CHECKING:
     from soft_throw_ros.twin.session import Session
@@ -52,11 +51,11 @@ Path: TypeAlias = tuple[Floats, Floats]  # times and states of the plate
 _PREDICTION_ERROR = 0.03
 """Largest relative standard error of the ejection speed in the first prediction. [-]"""
 
+_LONGER = 1.3
+"""Latest release that is predicted, over the ejection time with the expected motion. [-]"""
+
 _NOISY = 0.05
 """Relative error of the speed of a certain release beyond which noise may have caused it. [-]"""
-
-LOST = PAST
-"""Time without samples after which the plate is lost, because later ones are too old. [ns]"""
 
 FEWEST_IN_FLIGHT = 8
 """Fewest samples of the projectile in flight that give the errors of the release. [-]"""
@@ -64,28 +63,28 @@ FEWEST_IN_FLIGHT = 8
 MEASURED_REST_SPEED = 0.5
 """Largest speed at rest, over the speed of a start. [-]"""
 
-_SKIPPED = 0.5
-"""Delay between two steps that shows that steps have been skipped, in steps. [-]"""
-
 
 class MeasuredThrow(OngoingThrow):
     """
     A throw whose plate is measured, see `OngoingThrow`, by an observer from the onset on.
 
     The stepper follows the smoothed states that do not change any more. In each step a fork goes
-    on from there, along the latest states and their continuation: to the present time, as far as
-    the projectile is known, and until its release.
+    on from there (`Stepper.sync_from`), along the latest states and their continuation: to the
+    present time, as far as the projectile is known, and until its release.
     """
 
     def __init__(self, session: Session, onset: Onset, buffer: SampleBuffer) -> None:
         prepared, config = session.prepared, buffer.config
-        assert prepared.fork is not None
-        assert prepared.release_response is not None
+        response, fork = prepared.release_response, prepared.fork
+        assert response is not None
+        assert fork is not None
         rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
-        self._fork = prepared.fork
-        self._onset, self._buffer = onset, buffer
-        self._observer = PlateObserver(config, onset, prepared.release_response)
+        self._fork, self._onset, self._buffer = fork, onset, buffer
+        self._observer = PlateObserver(config, onset, response)
+        latest = _LONGER * response.release_time
+        is_affordable = fork.cost * latest <= MOST_SHARE * prepared.tick
+        self._latest_release = latest if is_affordable else 0.0  # predicted in a step [s]
         self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
         self._path = self._settled  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
@@ -96,8 +95,6 @@ class MeasuredThrow(OngoingThrow):
         self._is_certain = False  # the plate cannot change the release any more
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
-        self._last_due_ns = 0  # time of the last step [ns]
-        self._time_skipped = 0.0  # of skipped steps [s]
 
     def layer(self) -> LayerState:
         """Return the present state of the layer."""
@@ -109,19 +106,15 @@ class MeasuredThrow(OngoingThrow):
         """Advance as far as the plate is known, and predict from there."""
         buffer, observer, fork = self._buffer, self._observer, self._fork
         due_ns, crossing = self.session.due_ns(outputs.step), self._prepared.rig.crossing_time
-        if buffer.gap > crossing or due_ns - buffer.newest_ns > LOST:
-            self.ended_by = 'gap'
+        if buffer.gap > crossing or due_ns - buffer.newest_ns > PAST:
+            self.ended_by = 'gap'  # after `PAST`, missing samples would be refused
         else:
             observer.add(buffer.between(observer.next_ns, buffer.complete_ns + 1))
-        late = (due_ns - self._last_due_ns) / SECOND - self._prepared.tick
-        if self._last_due_ns and late > _SKIPPED * self._prepared.tick:
-            self._time_skipped += late
-        self._last_due_ns = due_ns
         known = observer.newest + crossing
         # a longer extrapolation has no meaning
         latest = known + buffer.config.smoothing_window
         now = min((due_ns - self.start_ns) / SECOND, latest)
-        release_by = self._prepared.latest_release if self._lead is None else 0.0
+        release_by = self._latest_release if self._lead is None else 0.0
         self._move_plate(max(now, known, release_by))
         horizon = self._stepper.horizon
         outputs.events, outputs.residual = self._follow_plate(horizon)
@@ -135,12 +128,9 @@ class MeasuredThrow(OngoingThrow):
                 self._predict(fork.events()[0], known, due_ns)
         if self.ended_by == 'noise':
             self.events, outputs.events = [], []
-        outputs.state, state = states[self._now], states[ahead]
+        outputs.state = states[self._now]
         outputs.prediction = PredictedState(
-            self.start_ns + round(ahead * SECOND),
-            state.projectile_position,
-            state.projectile_velocity,
-            state.projectile_force,
+            self.start_ns + round(ahead * SECOND), *states[ahead][1::2]  # of the projectile
         )
 
     def _move_plate(self, until: float) -> None:
@@ -163,11 +153,7 @@ class MeasuredThrow(OngoingThrow):
         return self.start_ns + round(event.time * SECOND)
 
     def _follow_plate(self, known: float) -> tuple[list[Event], Residual | None]:
-        """
-        Advance as far as the plate is known, and compare with samples of the projectile.
-
-        They are compared until a period of the plate after the release.
-        """
+        """Advance as far as the plate is known; compare until a period after the release."""
         rest, stepper, begin = self._onset.rest, self._stepper, self._compared
         if self.events and begin > self.events[0].time + self._period:
             return self._go_to(known)[1], None
@@ -204,41 +190,33 @@ class MeasuredThrow(OngoingThrow):
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
         times, states = _joined(self._settled, self._path)
         is_early = times <= max(self._peak_by, release.time if release else 0.0)
-        fastest = peak_speed(times[is_early], states[is_early])
-        return max(fastest, self._buffer.config.start_speed)
-
-    def _assess_accuracy(self, speed: float, peak_speed: float) -> Accuracy:
-        """Return the accuracy of a release."""
-        buffer = self._buffer
-        speed_error, time_error, peak_error = self._observer.errors()
-        # errors of both speeds count as independent: another motion than expected makes them so
-        relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
-        return Accuracy(
-            is_certain=self._is_certain,
-            release_time_error=time_error,
-            ejection_speed_error=speed_error,
-            energy_transfer_error=relative_error * (speed / peak_speed) ** 2,
-            samples=len(buffer.between(self.start_ns)) + buffer.outliers,
-            samples_left_out=buffer.outliers,
-        )
+        _, speeds, accelerations = states[is_early].T
+        gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
+        between = speeds[:-1] + 0.5 * np.diff(times[is_early]) * gain**2 / (gain + loss)
+        fastest = max(speeds.max(initial=0.0), between.max(initial=0.0))
+        return max(float(fastest), self._buffer.config.start_speed)
 
     def _result(self, stage: str, fork: Stepper | None = None) -> ThrowResult:
-        """Return the result so far, with its accuracy and the faults of the measurement."""
-        known: dict[str, Any] = {}
-        result = super()._result(stage, fork)
+        """Return the result so far, with its accuracy and its comparison."""
+        known: dict[str, Any] = {'clock_offset_ns': self._onset.clock_offset_ns}
+        result, buffer = super()._result(stage, fork), self._buffer
         if result.first and stage != 'final':
-            self._accuracy = self._assess_accuracy(
-                result.first.ejection_speed, result.peak_plate_speed
+            speed, peak_speed = result.first.ejection_speed, result.peak_plate_speed
+            speed_error, time_error, peak_error = self._observer.errors()
+            # errors of both speeds count as independent, as an unexpected motion makes them
+            relative_error = 2.0 * math.hypot(speed_error / speed, peak_error / peak_speed)
+            self._accuracy = Accuracy(
+                is_certain=self._is_certain,
+                release_time_error=time_error,
+                ejection_speed_error=speed_error,
+                energy_transfer_error=relative_error * result.first.energy_transfer,
+                samples=len(buffer.between(self.start_ns)) + buffer.outliers,
+                samples_left_out=buffer.outliers,
             )
         if result.is_valid:
             comparison = None if fork else self._compare()
-            known = {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
-        disturbances = Disturbances(
-            clock_offset_ns=self._onset.clock_offset_ns,
-            samples_missing=self._buffer.missing_since(self.start_ns),
-            time_skipped=self._time_skipped,
-        )
-        return dataclasses.replace(result, disturbances=disturbances, **known)
+            known |= {'lead': self._lead, 'accuracy': self._accuracy, 'comparison': comparison}
+        return dataclasses.replace(result, **known)
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""
@@ -288,11 +266,3 @@ class MeasuredThrow(OngoingThrow):
 def _joined(first: Path, second: Path) -> Path:
     """Return both parts of a path."""
     return np.concatenate((first[0], second[0])), np.concatenate((first[1], second[1]))
-
-
-def peak_speed(times: Floats, states: Floats) -> float:
-    """Return the largest speed of a plate from its states, with the peaks between them."""
-    speeds, accelerations = states[:, 1], states[:, 2]
-    gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
-    peaks = speeds[:-1] + 0.5 * np.diff(times) * gain**2 / (gain + loss)
-    return float(max(speeds.max(initial=0.0), peaks.max(initial=0.0)))

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 
 import numpy as np
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import AMPLITUDE_ERROR
 from soft_throw_ros.twin.results import State
 from soft_throw_ros.twin.sample_buffer import (
@@ -22,7 +22,6 @@ from soft_throw_ros.twin.sample_buffer import (
     SampleCounts,
     Samples,
 )
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 RISE = 0.125
 """Time until the plate reaches the speed of a start, over its period. [-]"""
@@ -64,7 +63,6 @@ _NOISE_RANGE = 15.0
 """Range of heights, in standard deviations, of a plate that is at rest but for noise. [-]"""
 
 
-@dataclass
 class _PlateTracker:
     """
     Smoothed height and speed of the plate, and whether it rests or has begun to move.
@@ -72,30 +70,27 @@ class _PlateTracker:
     The speed is the difference of two running means over that of their delays.
     """
 
-    config: MeasurementConfig
-    height: float = 0.0  # the mean with the shorter delay [m]
-    stamp_ns: int = LONG_AGO  # of the last sample
-    speed: float = 0.0  # [m/s]
-    is_armed: bool = False  # whether the plate is at rest, so that a jump starts a throw
-    moving_ns: int | None = None  # last time at which the plate was too fast for a rest
-    quiet_ns: int = LONG_AGO  # last time at which it was slow enough
-    begun_ns: int | None = None  # time at which it reached the speed of a start
-
-    def __post_init__(self) -> None:
-        config, start_speed = self.config, self.config.start_speed
-        self._later = self.height  # the mean with the longer delay [m]
+    def __init__(self, config: MeasurementConfig, height: float) -> None:
+        self.height = self._later = height  # means with the shorter and the longer delay [m]
+        self.stamp_ns = LONG_AGO  # of the last sample
+        self.speed = 0.0  # [m/s]
+        self.quiet_ns = LONG_AGO  # last time at which it was slow enough for a rest
+        self.disarm()
+        self._config = config
         self._lags = [lag * config.smoothing_window for lag in _LAGS]
         error = _NOISE_OF_MEANS * config.position_noise / (self._lags[1] - self._lags[0])
-        self._fast = max(start_speed, OUTLIER_SIGMAS * error)
-        self._slow = max(0.5 * start_speed, _REST_SIGMAS * error)
+        self._fast = max(config.start_speed, OUTLIER_SIGMAS * error)
+        self._slow = max(0.5 * config.start_speed, _REST_SIGMAS * error)
 
     def disarm(self) -> None:
         """Wait for another rest."""
-        self.is_armed, self.moving_ns, self.begun_ns = False, None, None
+        self.is_armed = False  # whether the plate is at rest, so that a jump starts a throw
+        self.moving_ns: int | None = None  # last time at which it was too fast for a rest
+        self.begun_ns: int | None = None  # time at which it reached the speed of a start
 
     def observe(self, stamp_ns: int, height: float) -> None:
         """Observe the next height of the plate."""
-        window_ns, since_ns = self.config.smoothing_window_ns, stamp_ns - self.stamp_ns
+        window_ns, since_ns = self._config.smoothing_window_ns, stamp_ns - self.stamp_ns
         since = since_ns / SECOND
         self.stamp_ns = stamp_ns
         short, long = self._lags
@@ -109,11 +104,11 @@ class _PlateTracker:
             self.moving_ns = stamp_ns
         elif self.begun_ns is not None:
             return
-        elif self.is_armed and self.config.direction * self.speed > self._fast:
+        elif self.is_armed and self._config.direction * self.speed > self._fast:
             self.begun_ns = stamp_ns
         elif abs(self.speed) > self._slow:
             self.moving_ns = stamp_ns
-            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(self.config) * SECOND
+            self.is_armed &= stamp_ns - self.quiet_ns <= longest_rise(self._config) * SECOND
         else:
             self.quiet_ns = stamp_ns
             self.is_armed |= stamp_ns - self.moving_ns >= REST_WINDOWS * window_ns
@@ -123,16 +118,11 @@ class PlateMonitor:
     """
     A monitor of the plate from one throw to the next, and of its sensor.
 
-    The samples of the onset of a throw that has just begun are used again. `crossing_time` is
-    that of the wave in the layer [s].
-
-    Notes
-    -----
-    The plate is at rest when for `REST_WINDOWS` windows it has not been faster than half of the
-    speed of a start, or four standard errors, and no more when it has been for `RISE` of its
-    period. A throw has begun when it goes upwards at that speed, and at six standard errors of
-    it, and has a start within the next window, see `find_onset`.
-
+    The samples of the `onset` of a throw that has just begun are used again. The plate is at rest
+    when for `REST_WINDOWS` windows it has not been faster than half of the speed of a start, or
+    four standard errors, and no more when it has been for `RISE` of its period. A throw has begun
+    when it goes upwards at that speed, and at six standard errors of it, and has a start within
+    the next window, see `_find_onset`. `crossing_time` is that of the wave in the layer [s].
     """
 
     def __init__(
@@ -148,8 +138,7 @@ class PlateMonitor:
         self._plate = _PlateTracker(config, self._rest if onset else 0.0)
         # height [m] and speed [m/s], on a slow plate those of the plate
         self._projectile = self._plate.height, 0.0
-        self._faults: dict[str, str] = {}  # by kind; empty once they are reported
-        self._diagnosed_ns = LONG_AGO  # stamp of the newest sample at the last diagnosis
+        self._reported: set[str] = set()  # kinds of faults
 
     def rearm(self, config: MeasurementConfig, crossing_time: float) -> None:
         """Wait for another rest before a throw, and use these parameters from now on."""
@@ -172,17 +161,16 @@ class PlateMonitor:
         for stamp_ns, height in zip(new.stamps.tolist(), new.plate.tolist(), strict=True):
             plate.observe(stamp_ns, height)
             if plate.begun_ns is not None and not is_tried:
-                onset, is_tried = find_onset(buffer, plate.begun_ns), True
+                onset, is_tried = _find_onset(buffer, plate.begun_ns), True
                 if onset is not None:
                     plate.disarm()
-                    return onset if self._has_rate(self._crossing_time) else None
+                    return None if self._rate_fault() else onset
         if new:
             if math.isnan(self._rest):
                 self._rest, self._projectile = plate.height, (plate.height, 0.0)
-            is_slow = abs(plate.speed) < config.start_speed
-            self._projectile = (
-                (plate.height, plate.speed) if is_slow else (self._projectile[0], 0.0)
-            )
+            self._projectile = self._projectile[0], 0.0
+            if abs(plate.speed) < config.start_speed:
+                self._projectile = plate.height, plate.speed
         return None
 
     def state(self, rest: State) -> State:
@@ -198,50 +186,42 @@ class PlateMonitor:
 
     def faults(self) -> tuple[str, ...]:
         """Return the faults of the sensor since the last call, each kind once."""
-        if self.buffer.newest_ns > self._diagnosed_ns:  # else the sensor is silent
-            self._diagnosed_ns = self.buffer.newest_ns
-            # until a rest is seen, the rate must suffice to see one
-            self._has_rate(self._crossing_time if self.is_armed else math.inf)
-            if not self.is_armed:
-                self._check_noise()
-        new = tuple(filter(None, self._faults.values()))
-        self._faults = dict.fromkeys(self._faults, '')
-        return new
+        faults = {'rate': self._rate_fault(), 'noise': self._noise_fault()}
+        new = {kind for kind, fault in faults.items() if fault} - self._reported
+        self._reported |= new
+        return tuple(faults[kind] for kind in sorted(new))
 
-    def _has_rate(self, crossing_time: float) -> bool:
-        """Return whether the rate of samples suffices to follow a throw; note it if not."""
+    def _rate_fault(self) -> str:
+        """Return the fault of a rate of samples that is too low to follow a throw, if any."""
         config, rate = self.buffer.config, self.buffer.rate()
-        rates = {
-            f'{PER_CROSSING} in a crossing of the wave': PER_CROSSING / crossing_time,
-            f'{PER_PERIOD} in a period of the plate': PER_PERIOD * config.plate.frequency,
-            f'{FEWEST} in measured.smoothing_window': FEWEST / config.smoothing_window,
-        }
-        required = max(rates, key=rates.__getitem__)
-        suffices = rate >= (1.0 - _RATE_ERROR) * rates[required]
-        if rate > 0.0 and not suffices:
-            self._faults.setdefault(
-                'rate',
-                f'the plate is measured at {rate:.0f} Hz, which must be at least '
-                f'{rates[required]:.0f} Hz, {required}: no throw is followed',
-            )
-        return suffices
+        required = max(
+            PER_CROSSING / self._crossing_time,
+            PER_PERIOD * config.plate.frequency,
+            FEWEST / config.smoothing_window,
+        )
+        if not 0.0 < rate < (1.0 - _RATE_ERROR) * required:
+            return ''
+        return (
+            f'the plate is measured at {rate:.0f} Hz, which must be at least {required:.0f} Hz, '
+            f'{PER_CROSSING} samples in a crossing of the wave, {PER_PERIOD} in a plate period '
+            f'and {FEWEST} in measured.smoothing_window: no throw is followed'
+        )
 
-    def _check_noise(self) -> None:
-        """Note noise that hides the rest of the plate, or heights in another unit."""
+    def _noise_fault(self) -> str:
+        """Return the fault of noise that hides the rest, or of heights in another unit, if any."""
         heights, expected = self.buffer.samples.plate, self.buffer.config.position_noise
-        if heights.size < _FEWEST_FOR_NOISE:
-            return
+        if self.is_armed or heights.size < _FEWEST_FOR_NOISE:
+            return ''
         # second differences, which have six times the variance, are free of slow motions
         deviation = float(np.median(np.abs(np.diff(heights, 2)))) / MEDIAN_DEVIATION
         noise = deviation / math.sqrt(6.0)
-        if noise > MAX_NOISE * expected and np.ptp(heights) < _NOISE_RANGE * noise:
-            self._faults.setdefault(
-                'noise',
-                f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} '
-                f'times measured.position_noise {1e6 * expected:.3g} um: set it, or divide '
-                'heights in millimetres by 1000; the plate may never seem at rest, and then no '
-                'throw is followed',
-            )
+        if noise <= MAX_NOISE * expected or np.ptp(heights) >= _NOISE_RANGE * noise:
+            return ''
+        return (
+            f'the plate at rest scatters by {1e6 * noise:.3g} um, {noise / expected:.1f} times '
+            f'measured.position_noise {1e6 * expected:.3g} um: set it, or divide heights in '
+            'millimetres by 1000; the plate may never seem at rest, and then no throw is followed'
+        )
 
 
 def longest_rise(config: MeasurementConfig) -> float:
@@ -249,7 +229,7 @@ def longest_rise(config: MeasurementConfig) -> float:
     return max(RISE / config.plate.frequency, 2.0 * config.rise_time)
 
 
-def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
+def _find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     """Find the start of a plate that was fast at `begun_ns`, if its motion is that of a start."""
     config, end_ns = buffer.config, buffer.complete_ns + 1
     window_ns = config.smoothing_window_ns
@@ -270,7 +250,7 @@ def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     # a slow engine moves for many samples; a subset suffices
     stride = math.ceil(len(samples) / _MOST_FOR_START)
     thinned = samples[(len(samples) - 1) % stride::stride]
-    onset_ns, size = find_start(thinned, begun_ns, rest, config)
+    onset_ns, size = _find_start(thinned, begun_ns, rest, config)
     moved = buffer.between(onset_ns + 1, end_ns)
     if len(moved) < FEWEST - 1:
         return None
@@ -283,14 +263,10 @@ def find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     return Onset(onset_ns=onset_ns, rest=rest, samples=buffer.between(onset_ns - window_ns))
 
 
-def find_start(
+def _find_start(
     samples: Samples, begun_ns: int, rest: RestBaseline, config: MeasurementConfig
 ) -> tuple[int, float]:
-    """
-    Return the start of a plate that was fast at `begun_ns` [ns], and its relative amplitude [-].
-
-    Both are by least squares, in Gauss-Newton steps, with their expected errors as samples.
-    """
+    """Fit the start [ns], near `begun_ns`, and the relative amplitude [-], from expected ones."""
     window = config.smoothing_window
     since, heights = samples.seconds_since(begun_ns), samples.plate - rest.plate
     start, size = -config.rise_time, 1.0

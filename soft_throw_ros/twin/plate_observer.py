@@ -62,9 +62,6 @@ _AVERAGED = 16
 _FIRST_RATIO = 0.5
 """Mean square before the first ones, so small that chance rarely makes it larger than 1. [-]"""
 
-_CAPACITY = 128
-"""Steps of the filter that a new observer can store; it grows. [-]"""
-
 _MEMORY = np.dtype(
     [
         ('omega', 'f8'),  # of Eq. (D1) [1/s]
@@ -201,8 +198,8 @@ def _follow(
     """
     Write smoothed states about a spacing apart, and the continuation at the times `ahead`.
 
-    Return how many there are, and how many of them are settled, being older than an age. The
-    steps up to the last settled state are removed.
+    Return their number, and that of the settled ones, which are older than an age; remove the
+    steps of these.
     """
     s, count, settled, last = memory[0], 0, 0, memory[0].settled
     smoothed = _smooth(s, steps)
@@ -265,10 +262,9 @@ def _integrals_from(times: Floats, rows: Floats) -> Floats:
 
 class PlateObserver:
     """
-    The plate in a throw from its onset on, see the module.
+    The plate in a throw; times are since the onset [s].
 
-    Times are since the onset. States are rows of height above rest [m], velocity [m/s] and
-    acceleration [m/s2].
+    States are rows of height above rest [m], velocity [m/s] and acceleration [m/s2].
     """
 
     def __init__(
@@ -302,9 +298,10 @@ class PlateObserver:
         memory['covariance'] = np.hstack((np.diag(variances), variances[:, None] * by_state))
         memory['release'] = variances @ by_state**2
         self._present = memory[0]
-        self._steps = np.zeros(_CAPACITY, STEP)
+        self._steps = np.zeros(128, STEP)  # of the filter, which grow
         self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
-        self._filter(np.zeros(1), np.full(1, np.nan), np.zeros(1), 0.0)
+        none = np.full(1, np.nan)  # no height at the start
+        _filter(memory, np.zeros(1), none, none, 0.0, times, changes, self._steps)
 
     @property
     def newest(self) -> float:
@@ -323,13 +320,7 @@ class PlateObserver:
             expected = self._command.states_at(times)
             heights -= expected[:, 0]
             errors, stamp_error = np.hypot(errors, expected[:, 1] * stamp_error), 0.0
-        self._filter(times, heights, errors, stamp_error)
-
-    def _filter(
-        self, times: Floats, heights: Floats, errors: Floats, stamp_error: float
-    ) -> None:
-        steps, response = self._steps, self._response
-        used = int(self._present['steps'])
+        response, steps, used = self._response, self._steps, int(self._present['steps'])
         if used + times.size > steps.size:
             self._steps = np.zeros(2 * (used + times.size), STEP)
             self._steps[:used] = steps[:used]
@@ -342,8 +333,8 @@ class PlateObserver:
         """
         Return times and states by the samples, and their continuation up to a later time.
 
-        They begin after those that were settled in earlier calls. The number of those that are
-        settled now is the third result: they do not change any more.
+        They begin after those that earlier calls settled. The third result is the number of those
+        that are settled now, and do not change any more.
         """
         window, newest = self._config.smoothing_window, self.newest
         count = max(math.ceil((until - newest) / (_SPACING * window)), 0)
@@ -362,13 +353,9 @@ class PlateObserver:
         return times, states, settled
 
     def errors(self) -> tuple[float, float, float]:
-        """
-        Return the standard errors of speed [m/s] and time [s] of the release, and peak speed.
-
-        Innovations that are larger than the stated noise explains make the errors larger.
-        """
+        """Return the standard errors of speed and time of the release, and of the peak speed."""
         present, times = self._present, self._response.times
-        ratio = max(1.0, float(present['ratio']))
+        ratio = max(1.0, float(present['ratio']))  # larger errors if more than the noise acts
         later = [np.interp(self.newest, times, row) for row in self._later]
         density = float(present['unmodelled']) * ratio**2
         variances = ratio * (present['release'] + density * np.array(later))

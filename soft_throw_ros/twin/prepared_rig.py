@@ -58,12 +58,8 @@ _CONTACT_GRAVITY = 9.81
 _ANSWERS = 128
 """Times in a throw at which the answer to `_PULSE` is known. [-]"""
 
-_LONGER = 1.3
-"""Latest release that is predicted, over the ejection time with the expected motion. [-]"""
-
 _NEAR = 0.01
 """Time before the release at which the force shows its rate, over the ejection time. [-]"""
-
 
 _WAITING = frozenset(
     entry.name
@@ -84,8 +80,8 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    fork: Stepper | None = None  # of the stepper, with a measured plate
-    release_response: ReleaseResponse | None = None  # likewise
+    fork: Stepper | None  # of the stepper, with a measured plate
+    release_response: ReleaseResponse | None  # likewise
 
     @property
     def rig(self) -> Rig:
@@ -101,14 +97,6 @@ class PreparedRig:
     def settling_time(self) -> float:
         """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
         return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
-
-    @cached_property
-    def latest_release(self) -> float:
-        """Latest time of a release that a fork predicts in a step; 0 for none [s]."""
-        if self.release_response is None:
-            return 0.0
-        time = _LONGER * self.release_response.release_time
-        return time if self.stepper.cost * time <= MOST_SHARE * self.tick else 0.0
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
@@ -134,23 +122,18 @@ def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> Thr
     """Return the strain of the layer and the energies over a time [s] from the start on."""
     times = np.linspace(0.0, length, THROW_FIELD_ROWS)
     strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
-    energies = []
+    rig, energies = stepper.rig, []
     for row, time in enumerate(times.tolist()):
         events = stepper.advance_to(time)
         if not events and row % _ROWS_PER_ENERGY == 0:
-            energies.append((time, *_energies(stepper)))
+            state, total = state_of(stepper), stepper.stored_energy()
+            rise = state.projectile_position - rig.rest_height
+            per_mass = 0.5 * state.projectile_velocity**2 + rig.gravity * rise
+            projectile = rig.projectile.mass * per_mass
+            energies.append((time, stepper.plate_work, projectile, total - projectile, total))
         strain[row] = stepper.read_layer()[3]
     heights = np.linspace(0.0, stepper.rig.layer.thickness, FIELD_POINTS)
     return ThrowField(times, heights, strain, np.array(energies), start_ns)
-
-
-def _energies(stepper: Stepper) -> tuple[float, float, float, float]:
-    """Return the energies of a rig before its first release, as in `interface.ENERGIES` [J]."""
-    rig, total = stepper.rig, stepper.stored_energy()
-    state = state_of(stepper)
-    rise = state.projectile_position - rig.rest_height
-    projectile = rig.projectile.mass * (0.5 * state.projectile_velocity**2 + rig.gravity * rise)
-    return stepper.plate_work, projectile, total - projectile, total
 
 
 def stepper_of(config: TwinConfig) -> Stepper:
@@ -213,27 +196,27 @@ def prepare(
     if before is not None and waiting_values(settings) == waiting_values(before.config.settings):
         return dataclasses.replace(before, config=config)
     stepper = stepper_of(config)
+    throw_field = fork = response = None
     if config.is_measured:
         _require_time(config, stepper)
-    path, motion = config.motion_file, config.rig.engine.motion
-    rest, rest_layer = state_of(stepper), layer_of(stepper)
-    throw_field = None
-    if not config.is_measured:
+        fork, response = stepper.fork(), _release_response(config)
+    else:
         release = _first_release(stepper)
         length = THROW_FIELD_LENGTH * (release.time if release else config.rig.longest_wait)
         stepper.reset()
         throw_field = throw_field_of(stepper, length)
         stepper.reset()
+    path, motion = config.motion_file, config.rig.engine.motion
     return PreparedRig(
         config=config,
         encoded_motion={path: motions.encode(motion)} if path and motion else {},
         stepper=stepper,
-        rest=rest,
-        rest_layer=rest_layer,
+        rest=state_of(stepper),
+        rest_layer=layer_of(stepper),
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=throw_field,
-        fork=stepper.fork() if config.is_measured else None,
-        release_response=_release_response(config) if config.is_measured else None,
+        fork=fork,
+        release_response=response,
     )
 
 
@@ -247,9 +230,8 @@ def _require_time(config: TwinConfig, stepper: Stepper) -> None:
     window, frequency = config.measurement.smoothing_window, config.rig.engine.frequency
     if window * frequency > LONGEST_WINDOW:
         raise ValueError(
-            f'measured.smoothing_window must be at most {LONGEST_WINDOW:g} of the plate period, '
-            f'{LONGEST_WINDOW / frequency:.4g} s at engine.frequency {frequency:g} Hz, '
-            f'got {window:g} s'
+            f'measured.smoothing_window must be at most {LONGEST_WINDOW / frequency:.4g} s, '
+            f'{LONGEST_WINDOW:g} of the plate period, got {window:g} s'
         )
     # in each step, the fork advances by the time that it is ahead, and for the layer once more
     ahead = 2.0 * config.rig.crossing_time + window

@@ -18,9 +18,8 @@ from soft_throw_ros.core.stepper import Event
 
 Floats = NDArray[np.float64]
 
-
 MOST_LEFT_OUT = 0.05
-"""Largest share of outliers, or of missing samples, without a warning. [-]"""
+"""Largest share of outliers among the samples without a warning. [-]"""
 
 INVALID_ENDS = ('gap', 'noise')
 """Values of `ThrowResult.ended_by` of throws that could not be followed."""
@@ -68,8 +67,7 @@ class ThrowField(NamedTuple):
     times: Floats  # since the start of the throw, shape (rows,) [s]
     heights: Floats  # in the layer at rest, from plate to top, shape (points,) [m]
     strain: Floats  # shape (rows, points) [-]
-    # Rows up to the first release, with the columns `interface.ENERGIES`. [s], [J]
-    energies: Floats
+    energies: Floats  # `interface.ENERGIES` in rows up to the first release [s], [J]
     start_ns: int = 0  # when the throw began, by the clock of the ticks [ns]
 
     @property
@@ -112,15 +110,6 @@ class Comparison:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Disturbances:
-    """Faults of the measurement during a throw that are no fault of the rig."""
-
-    clock_offset_ns: int = 0  # what was added to the stamps of samples [ns]
-    samples_missing: int = 0  # gaps in an even rate: lost, or refused because too late
-    time_skipped: float = 0.0  # of steps that the twin had no processor time for [s]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Accuracy:
     """
     Standard errors of the release of a measured plate, from the errors of the samples.
@@ -144,21 +133,17 @@ class Accuracy:
 @dataclass(frozen=True, kw_only=True)
 class ThrowResult:
     """
-    The result of a throw, preliminary or final.
+    The result of a throw, preliminary or final; docs/results.md has all values of the texts.
 
     Loads are the largest magnitudes up to the first release, or up to now before the release. The
     `stage` is 'predicted' before the first release of a measured plate: a first result comes when
     its speed is known well enough, a second one when no later motion of the plate can change the
-    release. The stage is 'release' after the release, and 'final' when the
-    throw is over. `ended_by` is 'rest', 'max_events', 'period', 'duration' or 'reset'. With a
-    measured plate it may also be 'next' (the plate jumps again), 'gap' (no samples for too long)
-    or 'noise' (the samples scatter too much). The last two mark a throw that could not be
-    followed, without releases, accuracy or comparison.
+    release. A throw that could not be followed has no releases, accuracy or comparison.
     """
 
     throw: int  # number of the throw, from 1
     step: int  # at which it is reported
-    stage: str
+    stage: str  # 'predicted', 'release' or 'final'
     ended_by: str  # empty while the throw goes on
     start_ns: int  # when the throw began, by the clock of the ticks [ns]
     rig: Rig
@@ -176,7 +161,7 @@ class ThrowResult:
     lead: float | None = None  # how long before the release of a measured plate it was known [s]
     accuracy: Accuracy | None = None  # of the first release of a measured plate
     comparison: Comparison | None = None  # with a measured projectile
-    disturbances: Disturbances | None = None  # of a measured plate
+    clock_offset_ns: int | None = None  # added to the stamps of samples of a measured plate [ns]
 
     @property
     def is_valid(self) -> bool:
@@ -186,11 +171,6 @@ class ThrowResult:
     def stamp(self, due_ns: int) -> int:
         """Return the time of the release, or of the end that is reported in a step [ns]."""
         return due_ns if self.stage == 'final' or self.first is None else self.first.release_ns
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether the release was known before it came."""
-        return self.lead is not None and self.lead > 0.0
 
     @property
     def is_linear(self) -> bool:
@@ -215,8 +195,8 @@ class ThrowResult:
         """Make the result of a rig whose `values` are known."""
         attributes: dict[str, Any] = {}  # values of many types
         for group, (prefix, kind) in _GROUPS.items():
-            names = (item.name for item in fields(kind) if prefix + item.name in values)
-            known = {name: values[prefix + name] for name in names}
+            names = {prefix + item.name: item.name for item in fields(kind)}
+            known = {names[key]: values[key] for key in names.keys() & values.keys()}
             attributes[group] = kind(**known) if known else None
         attributes |= {name: values.get(name) for name in _SIMPLE}
         return cls(rig=rig, **attributes)
@@ -232,7 +212,6 @@ _GROUPS: dict[str, tuple[str, type[Any]]] = {
     'last': ('last_', Release),
     'accuracy': ('accuracy.', Accuracy),
     'comparison': ('residual.', Comparison),
-    'disturbances': ('measurement.', Disturbances),
 }
 """Optional groups of values of a result: prefix of the published names, and type."""
 

@@ -4,7 +4,7 @@
 The states of a rig in a session: at rest, in a throw, and returning to rest.
 
 Before `advance` gives the outputs of the present step, `start_next` enters the next state if it is
-due. `refusal` returns the reason to refuse a throw, or an empty text.
+due. `refusal` returns the reason to refuse a throw, or an empty text, and the step of its end.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+import math
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from soft_throw_ros.core.stepper import Event, EventLimitError, Stepper
 from soft_throw_ros.core.throw import apex_height, ejections
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import FIELD_POINTS, layer_of, state_of
 from soft_throw_ros.twin.results import (
     INVALID_ENDS,
@@ -30,7 +32,6 @@ from soft_throw_ros.twin.results import (
     ThrowField,
     ThrowResult,
 )
-from soft_throw_ros.twin.tick_schedule import SECOND
 
 if TYPE_CHECKING:
     from soft_throw_ros.twin.session import Session
@@ -72,10 +73,11 @@ class AtRest:
         """Return the layer at rest."""
         return self.session.prepared.rest_layer
 
-    def refusal(self) -> str:
+    def refusal(self) -> tuple[str, float]:
         """Refuse another throw if one is about to start."""
         is_about_to_start = self.session.is_requested or self.start_step is not None
-        return f'throw {self.session.throws + 1} is about to start' if is_about_to_start else ''
+        reason = f'throw {self.session.throws + 1} is about to start'
+        return reason if is_about_to_start else '', math.inf
 
 
 @dataclass
@@ -120,15 +122,10 @@ class Returning:
         time = (session.step - self.begin) / ticks  # over the duration
         share = time**3 * (10.0 - 15.0 * time + 6.0 * time**2)
         speed = 30.0 * (time * (1.0 - time)) ** 2 / (ticks * session.prepared.tick)
-        plate = goal.plate_position - origin.plate_position
-        projectile = goal.projectile_position - origin.projectile_position
+        plate, projectile = origin.plate_position, origin.projectile_position
+        way, other = goal.plate_position - plate, goal.projectile_position - projectile
         outputs.state = State(
-            plate_position=origin.plate_position + share * plate,
-            projectile_position=origin.projectile_position + share * projectile,
-            plate_velocity=speed * plate,
-            projectile_velocity=speed * projectile,
-            plate_force=0.0,
-            projectile_force=0.0,
+            plate + share * way, projectile + share * other, speed * way, speed * other, 0.0, 0.0
         )
 
     def layer(self) -> LayerState:
@@ -143,9 +140,9 @@ class Returning:
             np.zeros(FIELD_POINTS),
         )
 
-    def refusal(self) -> str:
+    def refusal(self) -> tuple[str, float]:
         """Refuse a throw until the rig is at rest."""
-        return self.session.ready_text('resetting the rig', self.end)
+        return 'resetting the rig', self.end
 
 
 class OngoingThrow(ABC):
@@ -194,9 +191,9 @@ class OngoingThrow(ABC):
         """Return the present state of the layer."""
         return layer_of(self._stepper)
 
-    def refusal(self) -> str:
+    def refusal(self) -> tuple[str, float]:
         """Refuse another throw."""
-        return self.session.ready_text(f'throw {self.number} is under way', self.session.due)
+        return f'throw {self.number} is under way', self.session.due
 
     @abstractmethod
     def _advance(self, outputs: Outputs) -> None:

@@ -11,7 +11,6 @@ are late, and are refused.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 import math
 from typing import NamedTuple
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.twin.tick_schedule import SECOND
+from soft_throw_ros.storage.message import SECOND
 
 Floats = NDArray[np.float64]
 
@@ -42,7 +41,6 @@ FEWEST = 4
 
 _KEPT_WINDOWS = 16
 """Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
-
 
 MEDIAN_DEVIATION = 0.6745
 """Median of the magnitude of standard normal numbers. [-]"""
@@ -68,27 +66,12 @@ _BODY = np.dtype(
 )
 
 
-class Sample(NamedTuple):
-    """Heights measured at one time."""
-
-    stamp_ns: int  # time of the measurement [ns]
-    plate: float  # height [m]
-    projectile: float = math.nan  # height, NaN if not measured [m]
-
-
 @dataclass(slots=True)
 class Samples:
-    """Many samples in arrays."""
+    """Heights measured at the times of their stamps."""
 
     stamps: NDArray[np.int64]  # shape (n,) [ns]
-    heights: Floats  # of plate and projectile, shape (n, 2) [m]
-
-    @classmethod
-    def of(cls, samples: Sequence[Sample]) -> Samples:
-        """Put samples into arrays."""
-        stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-        heights = np.array([sample[1:] for sample in samples], np.float64)
-        return cls(stamps, heights.reshape(-1, 2))
+    heights: Floats  # of plate and projectile, NaN if not measured, shape (n, 2) [m]
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -103,7 +86,7 @@ class Samples:
 
     @property
     def projectile(self) -> Floats:
-        """Heights of the projectile, NaN where it was not measured [m]."""
+        """Heights of the projectile [m]."""
         return self.heights[:, 1]
 
     def seconds_since(self, origin_ns: int) -> Floats:
@@ -142,18 +125,14 @@ class SampleCounts:
 
 
 class SampleBuffer:
-    """
-    The accepted samples of the recent past, sorted by stamp.
-
-    The buffer updates the `counts`. It may begin with sorted `samples` that have been accepted.
-    """
+    """The accepted samples of the recent past, sorted by stamp; it updates the `counts`."""
 
     def __init__(
         self, config: MeasurementConfig, counts: SampleCounts, samples: Samples | None = None
     ) -> None:
         self.config = config
         self.counts = counts
-        self.samples = samples or Samples.of([])  # all of them; a change makes other arrays
+        self.samples = samples or Samples(np.empty(0, np.int64), np.empty((0, 2)))
         self.newest_ns = int(samples.stamps[-1]) if samples else LONG_AGO  # newest stamp [ns]
         self.complete_ns = LONG_AGO  # time until which samples are complete [ns]
         self.gap = 0.0  # longest time between samples up to those that are complete last [s]
@@ -176,13 +155,6 @@ class SampleBuffer:
         if len(self.samples) < FEWEST:
             return 0.0
         return SECOND / float(np.median(np.diff(self.samples.stamps)))
-
-    def missing_since(self, begin_ns: int) -> int:
-        """Count the samples that are missing since a time, compared with an even rate."""
-        intervals = np.diff(self.between(begin_ns).stamps)
-        if len(intervals) < FEWEST:
-            return 0
-        return int((np.rint(intervals / np.median(intervals)) - 1.0).clip(0.0).sum())
 
     def add(self, samples: Samples, now_ns: int) -> Samples:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
@@ -247,14 +219,13 @@ class SampleBuffer:
 
 class OutlierFilter:
     """
-    A filter that finds outliers among the heights of plate and projectile.
+    A Kalman filter of height and velocity of plate and projectile, which finds outliers.
 
-    Each body is followed by a Kalman filter of its height and velocity. Between two samples it has
-    an unknown constant acceleration, whose standard deviation is half of the engine's. A height
-    that is `OUTLIER_SIGMAS` standard errors off is an outlier; the last of `MAX_OUTLIERS_IN_A_ROW`
-    is accepted, because the body moves in another way or the zero of the sensor has moved.
-    Standard errors are from the `noise` [m] and the `stamp_error` [s], which displaces a moving
-    body, or from recent deviations if these are larger.
+    Between two samples a body has an unknown constant acceleration, whose standard deviation is
+    half of the engine's. A height that is `OUTLIER_SIGMAS` standard errors off is an outlier; the
+    last of `MAX_OUTLIERS_IN_A_ROW` is accepted, because the body or the zero of its sensor has
+    moved. Standard errors are from the `noise` [m] and the `stamp_error` [s], which displaces a
+    moving body, or from recent deviations if these are larger.
     """
 
     def __init__(self, plate: Underdamped, noise: float, stamp_error: float) -> None:

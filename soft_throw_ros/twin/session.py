@@ -10,26 +10,19 @@ clock, and a replay, which advances it as fast as it can, get the same outputs.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import math
 from threading import Lock
 
 from soft_throw_ros.configuration import motions, Settings
-from soft_throw_ros.configuration.motions import MotionSource
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.journal import JournalWriter
 from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig, waiting_values
-from soft_throw_ros.twin.results import (
-    Outputs,
-    Phase,
-    PhaseChange,
-    PlateCommand,
-    ThrowResult,
-)
+from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, PlateCommand, ThrowResult
 from soft_throw_ros.twin.rig_states import (
     AtRest,
     OngoingThrow,
@@ -38,7 +31,6 @@ from soft_throw_ros.twin.rig_states import (
     ScheduledThrow,
 )
 from soft_throw_ros.twin.sample_buffer import LONG_AGO, Onset, SampleCounts, Samples
-from soft_throw_ros.twin.tick_schedule import TickSchedule
 
 _NOW = LONG_AGO
 """Stamp of a phase that begins at the deadline of the step, which may be set later. [ns]"""
@@ -46,6 +38,35 @@ _NOW = LONG_AGO
 
 class RequestRejected(Exception):
     """A refused request; the message has the reason."""
+
+
+@dataclass
+class TickSchedule:
+    """Absolute deadlines of steps, so that a delay of one step does not delay later ones."""
+
+    step: int  # number of a step
+    time_ns: int  # deadline of the step [ns]
+    rate: float  # steps per second [Hz]
+
+    def deadline(self, step: int) -> int:
+        """Return the deadline of a step [ns]."""
+        return self.time_ns + round((step - self.step) * SECOND / self.rate)
+
+    def change_rate(self, *, step: int, rate: float) -> None:
+        """Change the rate after a step, whose own deadline stays."""
+        self.time_ns, self.step, self.rate = self.deadline(step), step, rate
+
+    def skip(self, *, step: int, now: int, max_catch_up: int) -> int:
+        """
+        Delay all deadlines by the part of a stall beyond `max_catch_up` [ns].
+
+        Steps stay consecutive; return the number of ticks of the clock without a step.
+        """
+        late = now - self.deadline(step) - max_catch_up
+        ticks = max(0, int(late * self.rate / SECOND))
+        if ticks:
+            self.time_ns, self.step = self.deadline(step + ticks), step
+        return ticks
 
 
 class Session:
@@ -57,23 +78,12 @@ class Session:
 
     Parameters
     ----------
-    settings : mapping of str to value
-        Complete settings at the start.
+    prepared : PreparedRig
+        The rig at the start, by `prepared_rig.prepare`.
     step : int
         Number of the first step.
     on_entry : callable
         Called with every line of the journal, in order; it must not call the session.
-    motion_of : callable
-        Returns the motion of a plate by the path of its file; by default it reads the file.
-    prepared : PreparedRig, optional
-        The result of `prepared_rig.prepare` for the settings; by default they are prepared here.
-    is_resumed : bool
-        Whether `from_entry` starts a throw next.
-
-    Raises
-    ------
-    ValueError
-        If the rig cannot be stepped in real time, with the number.
 
     Notes
     -----
@@ -87,43 +97,37 @@ class Session:
     rest, before the next throw. Not while a controller has the motion of the next throw
     (`engine.command`). Every other change is effective at once.
 
-    If the plate is measured, a throw starts when the plate moves up suddenly after a rest,
-    regardless of the period. It also ends when samples are missing for longer than a wave needs to
-    cross the layer, or when the next throw starts. Settings that wait then take effect with the
-    throw. Between throws, plate and projectile stay at the last measured height of the plate.
+    If the plate is measured, a throw starts when it jumps up after a rest, with the settings that
+    wait. It also ends when samples are missing for longer than a wave needs to cross the layer,
+    or when the next throw starts. Between throws, the rig stays at the last measured height.
 
     """
 
     def __init__(
         self,
-        settings: Settings,
+        prepared: PreparedRig,
         *,
         step: int = 0,
         on_entry: Callable[[str], None] = lambda _line: None,
-        motion_of: MotionSource = motions.read,
-        prepared: PreparedRig | None = None,
-        is_resumed: bool = False,
     ) -> None:
         self.step = step  # number of the next step
         self.throws = 0  # number of throws that have started
         self.is_requested = False  # a throw
         self.sample_counts = SampleCounts()  # of the rig
-        self.prepared = self.wanted = prepared or prepare(settings, motion_of=motion_of)
-        self.config = self.prepared.config  # in effect
+        self.prepared = self.wanted = prepared
+        self.config = prepared.config  # in effect
         self.monitor: PlateMonitor | None = None  # if the plate is measured
-        self.outputs = Outputs(step, 0, self.prepared.rest)  # of the next step
+        self.outputs = Outputs(step, 0, prepared.rest)  # of the next step
         self._lock = Lock()  # held for microseconds
-        self._journal = JournalWriter(on_entry, step=step)
+        self._journal = journal.JournalWriter(on_entry, step=step)
         self._schedule = TickSchedule(step=step, time_ns=0, rate=self.rate)
         self._clock_offset_ns = 0  # of the samples, see `measure` [ns]
         self._period_start = step  # of the last throw, or of a reset
         self._field_start = step  # since which rows of the field are counted
         self._busy_until: float = step  # at the end of a commanded motion, or of a return
         self._start_monitoring()
-        self._rig_state: RigState = AtRest(self)
-        if not is_resumed:
-            self.enter(self._rig_state, Phase.REST)
-            self._journal.begin('start', step, settings, motions=self._encoded_motions)
+        self.enter(AtRest(self), Phase.REST)
+        self._journal.begin('start', step, self.config.settings, motions=self._encoded_motions)
 
     @classmethod
     def from_entry(
@@ -133,34 +137,20 @@ class Session:
         Continue from the entry of the journal for the start of a session or a throw.
 
         The next step is that of the entry. Its outputs equal the original ones to the last bit,
-        and so do those of all later steps with the same inputs, see `follow`.
-
-        Raises
-        ------
-        JournalError
-            If the entry is of another kind, or incomplete.
-        ValueError
-            If the rig cannot be stepped in real time.
-
+        and so do those of all later steps with the same inputs, see `follow`. An entry of another
+        program may raise any error of its values.
         """
-        settings, is_throw = journal.checked_settings(entry, 'settings'), entry['kind'] == 'throw'
-        if entry['kind'] != 'start' and not (is_throw and 'throw' in entry):
-            raise journal.JournalError(
-                f'a session starts with an entry start or throw, got {quote(dict(entry))}'
-            )
-        motion_of = journal.motion_source(entry)
-        session = cls(
-            settings, step=entry['step'], on_entry=on_entry, motion_of=motion_of,
-            is_resumed=is_throw,
-        )
-        if is_throw:
-            if pending := journal.checked_settings(entry, 'pending'):
-                session._stage(prepare({**settings, **pending}, session.prepared, motion_of))
+        settings, motion_of = journal.checked(entry['settings']), journal.motion_source(entry)
+        prepared = prepare(settings, motion_of=motion_of)
+        session = cls(prepared, step=entry['step'], on_entry=on_entry)
+        if entry['kind'] == 'throw':
+            session.outputs.phases.clear()
+            pending = journal.checked(entry['pending'])
+            session._stage(prepare({**settings, **pending}, prepared, motion_of))
             session.throws = entry['throw'] - 1
-            if 'schedule' in entry:
-                session._schedule = journal.decode_schedule(entry)
-            onset = entry.get('onset', {})
-            session.begin_throw(journal.decode_onset(onset) if session.is_measured else None)
+            session._schedule = TickSchedule(**entry['schedule'])
+            onset = journal.decode_onset(entry['onset']) if session.is_measured else None
+            session.begin_throw(onset)
         return session
 
     @property
@@ -192,24 +182,18 @@ class Session:
 
     def request_throw(self) -> int:
         """
-        Start a throw with the next step, or after a return to rest if changes are pending.
+        Start a throw with the next step, or after a return if changes are pending.
 
-        Returns
-        -------
-        int
-            Number of the throw.
-
-        Raises
-        ------
-        RequestRejected
-            If a throw is under way, or if the plate is measured.
-
+        Return its number; RequestRejected if a throw is under way, or if the plate is measured.
         """
         with self._lock:
             if self.is_measured:
                 raise RequestRejected('the plate is measured: a throw starts when it jumps up')
-            if refusal := self._rig_state.refusal():
-                raise RequestRejected(refusal)
+            reason, until = self._rig_state.refusal()
+            if until < math.inf:
+                reason += f': ready in at most {(until - self.step) / self.rate:.2f} s'
+            if reason:
+                raise RequestRejected(reason)
             self.is_requested = True
             self._journal.write('input', self.step, input='throw')
             return self.throws + 1
@@ -230,19 +214,14 @@ class Session:
         values: Settings,
         prepared: PreparedRig | None = None,
         *,
-        motion_of: MotionSource = motions.read,
+        motion_of: motions.MotionSource = motions.read,
     ) -> None:
         """
         Change settings: at once, or when the rig is put back, see the class.
 
         The values include all implied changes, and `prepared` is the rig with all of them; by
-        default it is prepared here. Changes come from one thread.
-
-        Raises
-        ------
-        ValueError
-            If the rig could not be stepped in real time; then nothing has changed.
-
+        default it is prepared here, ValueError if it could not be stepped in real time. Changes
+        come from one thread.
         """
         wanted = prepared or prepare(
             {**self.wanted.config.settings, **values}, self.wanted, motion_of
@@ -289,9 +268,8 @@ class Session:
         """
         Set the deadlines of steps from the next one on.
 
-        The schedule relates the stamps of samples and results to steps. It is written to the
-        journal, and again with every throw, so that any part of a recording determines the steps
-        of its messages.
+        The journal has the schedule, and again with every throw, so that any part of a recording
+        determines the steps of its messages.
         """
         with self._lock:
             self._schedule = replace(schedule)  # its owner changes it later
@@ -316,8 +294,8 @@ class Session:
             self._rig_state.advance(outputs)
             due_ns, since = self.due_ns(self.step), self.step - self._field_start
             outputs.phases = [
-                PhaseChange(phase, due_ns if stamp_ns == _NOW else stamp_ns)
-                for phase, stamp_ns in outputs.phases
+                phase._replace(stamp_ns=due_ns) if phase.stamp_ns == _NOW else phase
+                for phase in outputs.phases
             ]
             row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
             if row != last_row:
@@ -336,46 +314,30 @@ class Session:
         """
         Advance to an entry of a journal of the session, and apply the input of the entry, if any.
 
-        Yields
-        ------
-        Outputs
-            One for each step.
-
-        Raises
-        ------
-        JournalError
-            If the entry cannot be read, or its input belongs before a step that has passed.
-        RequestRejected
-            If the session rejects the input, so that the journal is of another session.
-
+        RequestRejected if the session rejects the input, so that the journal is of another
+        session. An entry of another program may raise any error of its values.
         """
         if entry['kind'] == 'samples':
             for step, samples in journal.decode_samples(entry):
-                yield from self.advance_to(step)
+                yield from self.advance_to(min(step, entry['step']))
                 self.measure(samples)
             return
         yield from self.advance_to(entry['step'])
-        if entry['kind'] == 'throw' and 'onset' in entry:
-            self._clock_offset_ns = journal.decode_onset(entry['onset']).clock_offset_ns
-        elif entry['kind'] == 'tick_schedule':
-            self.set_tick_schedule(journal.decode_schedule(entry))
-        elif entry['kind'] == 'input':
-            if entry['step'] != self.step:
-                raise journal.JournalError(
-                    f'an input before step {self.step}, got {quote(dict(entry))}'
-                )
-            match entry.get('input'):
-                case 'throw':
-                    self.request_throw()
-                case 'reset':
-                    self.reset()
-                case 'parameters':
-                    values = journal.checked_settings(entry, 'values')
-                    known = {**self._encoded_motions, **entry.get('motions', {})}
-                    source = journal.motion_source({**entry, 'motions': known})
-                    self.change(values, motion_of=source)
-                case name:
-                    raise journal.JournalError(f'no input is named {quote(name)}')
+        match entry:
+            case {'kind': 'throw', 'onset': onset}:
+                self._clock_offset_ns = onset['clock_offset_ns']
+            case {'kind': 'tick_schedule', 'schedule': schedule}:
+                self.set_tick_schedule(TickSchedule(**schedule))
+            case {'kind': 'input', 'input': 'throw'}:
+                self.request_throw()
+            case {'kind': 'input', 'input': 'reset'}:
+                self.reset()
+            case {'kind': 'input', 'input': 'parameters', 'values': values}:
+                known = {**self._encoded_motions, **entry.get('motions', {})}
+                source = journal.motion_source({'motions': known})
+                self.change(journal.checked(values), motion_of=source)
+            case {'kind': 'input'}:
+                raise journal.JournalError(f'no input is {quote(dict(entry))}')
 
     # for the states of the rig
 
@@ -397,11 +359,6 @@ class Session:
         """Steps from the command of a motion to its start; 0 without a command."""
         return round((self.config.command_lead or 0.0) * self.rate)
 
-    def ready_text(self, reason: str, until: float) -> str:
-        """Return a reason with the time until a step."""
-        remaining = (until - self.step) / self.rate
-        return f'{reason}: ready in at most {remaining:.2f} s' if until < math.inf else reason
-
     def report(self, result: ThrowResult) -> None:
         """Output a result, and write it to the journal."""
         self.outputs.results.append(result)
@@ -415,9 +372,8 @@ class Session:
     def command_plate(self) -> None:
         """Output the motion of the next throw if a controller plays it, and start the throw."""
         start_step, self.is_requested = self.step + self._lead_ticks, False
-        if (motion := self._commanded_motion) is not None:
+        if (motion := self._occupy_controller(start_step)) is not None:
             self.outputs.command = PlateCommand(self.due_ns(start_step), motion)
-            self._busy_until = start_step + motion.end_time * self.rate
         if start_step == self.step:
             self.begin_throw()
         elif isinstance(self._rig_state, AtRest):
@@ -425,18 +381,19 @@ class Session:
         else:
             self.enter(AtRest(self, start_step=start_step), Phase.REST)
 
-    @property
-    def _commanded_motion(self) -> SampledMotion | None:
-        """The motion that a controller plays in each throw."""
-        return None if self.config.command_lead is None else self.prepared.rig.engine.motion
+    def _occupy_controller(self, start_step: int) -> SampledMotion | None:
+        """Return the motion that a controller plays from a step on, if any, and await its end."""
+        motion = None if self.config.command_lead is None else self.prepared.rig.engine.motion
+        if motion is not None:
+            self._busy_until = start_step + motion.end_time * self.rate
+        return motion
 
     def begin_throw(self, onset: Onset | None = None) -> None:
         """Begin a throw, of a measured plate with an onset."""
         step = self.step
         self.throws += 1
         self._field_start = self._period_start = step
-        if (motion := self._commanded_motion) is not None:
-            self._busy_until = step + motion.end_time * self.rate
+        self._occupy_controller(step)
         self._journal.begin(
             'throw',
             step,
@@ -447,19 +404,15 @@ class Session:
             schedule=vars(self._schedule),
             **({} if onset is None else {'onset': journal.encode_onset(onset)}),
         )
-        if onset is None:
+        self._start_monitoring(onset)
+        if onset is None or self.monitor is None:
             self.enter(ScheduledThrow(self), Phase.CONTACT)
         else:
-            self.monitor = self._new_monitor(onset)
             throw = MeasuredThrow(self, onset, self.monitor.buffer)
             self.enter(throw, Phase.CONTACT, onset.onset_ns)
 
     def put_back(self) -> None:
-        """
-        Begin the return to rest, with the settings that were pending in effect.
-
-        It ends no sooner than a commanded motion, which the next command would replace.
-        """
+        """Begin the return to rest, with pending settings, until a commanded motion is over."""
         busy_time, ticks = (self._busy_until - self.step) / self.rate, 0
         self._commit()
         if not self.config.is_measured:
@@ -478,18 +431,16 @@ class Session:
             self.prepared, self.config = self.wanted, self.wanted.config
             self._period_start = self.step - round(passed / self.prepared.tick)
 
-    def _start_monitoring(self) -> None:
-        """Wait for the next throw of the plate, if it is measured."""
+    def _start_monitoring(self, onset: Onset | None = None) -> None:
+        """Wait for the next throw of the plate, or watch one from its onset on, if measured."""
         if not self.config.is_measured:
             self.monitor = None
-        elif self.monitor is None:
-            self.monitor = self._new_monitor()
+            return
+        config, crossing_time = self.config.measurement, self.prepared.rig.crossing_time
+        if self.monitor is None or onset is not None:
+            self.monitor = PlateMonitor(config, crossing_time, self.sample_counts, onset)
         else:
-            self.monitor.rearm(self.config.measurement, self.prepared.rig.crossing_time)
-
-    def _new_monitor(self, onset: Onset | None = None) -> PlateMonitor:
-        crossing_time = self.prepared.rig.crossing_time
-        return PlateMonitor(self.config.measurement, crossing_time, self.sample_counts, onset)
+            self.monitor.rearm(config, crossing_time)
 
     def _watch_plate(self, monitor: PlateMonitor) -> None:
         """Take over the samples of the plate, and start a throw at its onset."""

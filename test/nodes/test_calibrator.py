@@ -24,8 +24,7 @@ from soft_throw_ros.nodes.calibrator import Calibrator, MeasuredPositions, Measu
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.sample_buffer import Sample
-from twin_runs import measured_throw, stroke
+from twin_runs import measured_throw, Sample, stroke
 
 
 def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) -> None:
@@ -105,7 +104,7 @@ def test_only_wrong_predictions_in_a_row_make_the_rig_identified(ros, monkeypatc
     monkeypatch.setattr(calibrator._measured, 'between', lambda *_: None)
     for is_right, count in ((False, 0), (True, 0), (False, 0), (False, 1)):
         calibrator._on_measured_throw(SimpleNamespace(
-            throw=1, rig=Rig(), disturbances=True, ended_by='period', first=None,
+            throw=1, rig=Rig(), clock_offset_ns=0, ended_by='period', first=None,
             comparison=SimpleNamespace(is_within_threshold=is_right),
         ), 0, SECOND)
         assert len(tasks) == count

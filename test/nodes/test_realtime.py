@@ -14,7 +14,7 @@ from ros_nodes import GivenClock
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
 from soft_throw_ros.nodes.recommendations import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.tick_schedule import TickSchedule
+from soft_throw_ros.twin.session import TickSchedule
 
 MILLISECOND = SECOND // 1000
 

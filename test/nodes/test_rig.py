@@ -17,6 +17,7 @@ from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rig import SimulatedRig
 from soft_throw_ros.nodes.topics import Publishers
 from soft_throw_ros.storage.message import SECOND
+from soft_throw_ros.twin.prepared_rig import prepare
 from soft_throw_ros.twin.session import Session
 
 RATE = 5000
@@ -53,7 +54,7 @@ def test_perfect_sensors_measure_the_true_positions(start) -> None:
     rig.go(1.5)
     assert set(np.diff(rig.stamps)) == {SECOND // RATE}
     assert np.ptp(rig.positions, axis=0)[1] > 0.08  # it has thrown
-    session = Session(to_twin(rig.parameters.settings))
+    session = Session(prepare(to_twin(rig.parameters.settings)))
     assert rig.positions == [session.advance().state[:2] for _ in rig.stamps]
 
 
@@ -64,7 +65,7 @@ def test_sensors_and_rig_have_the_faults_of_the_parameters(start) -> None:
     assert len(rig.stamps) == pytest.approx(0.9 * 1.5 * RATE, rel=0.05)
     intervals = 1e-9 * RATE * (np.array(rig.stamps) - rig.stamps[0])
     assert np.ptp(intervals - np.round(intervals)) == pytest.approx(1e-4 * RATE, rel=0.02)
-    session = Session(to_twin(rig.parameters.settings))
+    session = Session(prepare(to_twin(rig.parameters.settings)))
     steps = [session.advance() for _ in range(round(1.5 * RATE))]
     begin = next(number for number, step in enumerate(steps) if step.throw)
     plate = [steps[number].state.plate_position for number in np.round(intervals).astype(int)]

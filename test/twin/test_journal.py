@@ -6,19 +6,18 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
+import json
 import math
 from operator import itemgetter
+import re
 from typing import Any
 from zlib import crc32
 
 from hypothesis import given
 from hypothesis import strategies as st
 import pytest
-from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
-from soft_throw_ros.twin.session import Session
-from twin_runs import Run
+from twin_runs import Run, Sample, samples_of
 
 
 @pytest.fixture(scope='module')
@@ -83,7 +82,7 @@ def test_results_are_in_the_journal_with_all_digits(eventful) -> None:
 
 numbers = st.floats(allow_nan=False)
 samples = st.builds(Sample, st.integers(0, 2**62), numbers, numbers)
-batches = st.lists(samples, min_size=1, max_size=5).map(Samples.of)
+batches = st.lists(samples, min_size=1, max_size=5).map(samples_of)
 
 
 @given(
@@ -96,55 +95,28 @@ batches = st.lists(samples, min_size=1, max_size=5).map(Samples.of)
 )
 def test_encoded_samples_are_decoded_bit_by_bit(batches) -> None:
     entry = {'kind': 'samples', 'step': batches[-1][0], **journal.encode_samples(batches)}
-    entry = journal.decode(journal.encode(entry))
+    entry = journal.decode(json.dumps(entry))
     assert repr(journal.decode_samples(entry)) == repr(batches)
     assert entry['count'] == sum(len(batch) for _, batch in batches)
 
 
 # inconsistent journals
 
-SCHEDULE = {'step': 0, 'time_ns': 1_000, 'rate': 1000.0}
-CUT = {**journal.encode_samples([(0, Samples.of([Sample(1, 0.5)]))]), 'count': 2}
-
 
 @pytest.mark.parametrize(
-    ('decode', 'broken', 'value'),
+    'line',
     [
-        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'time_ns': 0.5}}, '0.5'),
-        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'rate': 0.0}}, '0.0'),
-        (journal.decode_schedule, {'schedule': {**SCHEDULE, 'rate': '1'}}, "'1'"),
-        (journal.decode_schedule, {'schedule': {'step': 1}}, 'time_ns'),
-        (journal.decode, 'nonsense', 'nonsense'),
-        (journal.decode, '[1, 2]', '1, 2'),
-        (journal.decode, '{"kind": "throw"}', 'step'),
-        (journal.decode, '{"kind": "throw", "step": 0.5}', '0.5'),
-        (journal.decode, '{"kind": "throw", "step": 7, "throw": "one"}', 'one'),
-        (journal.decode, '{"kind": "throw", "step": 7, "versions": 6}', '6'),
-        (journal.decode_samples, {'kind': 'samples', 'step': 0, **CUT}, 'no samples'),
-        (journal.decode_samples, {'step': 0, 'count': 1, 'data': '???'}, 'no samples'),
+        'nonsense', '[1, 2]', '{"kind": "throw"}', '{"kind": "throw", "step": 0.5}',
+        '{"kind": "throw", "step": 7, "throw": "one"}', '{"kind": "x", "step": 7, "line": ""}',
+        '{"kind": "start", "step": 7, "versions": 6}', '{"kind": ["start"], "step": 7}',
     ],
 )
-def test_invalid_entry_is_refused_and_quoted(decode, broken, value) -> None:
-    with pytest.raises(journal.JournalError, match=value):
-        decode(broken)
+def test_invalid_line_is_refused_and_quoted(line) -> None:
+    with pytest.raises(journal.JournalError, match=re.escape(line[-9:])):
+        journal.decode(line)
 
 
-def test_entry_inconsistent_with_the_session_is_refused_and_quoted(eventful) -> None:
-    begin = eventful.entries('throw')[0]
-    settings = begin['settings']
-    for entry, value in (
-        ({'kind': 'throw', 'step': 3}, 'settings'),
-        ({**begin, 'kind': 'input'}, "'input'"),
-        ({name: begin[name] for name in begin if name != 'throw'}, "'throw'"),
-        ({**begin, 'settings': {**settings, 'layer.thickness': 'thick'}}, 'thick'),
-        ({**begin, 'settings': {**settings, 'engine.motion': 'measured'}, 'onset': None}, 'None'),
-    ):
-        with pytest.raises(journal.JournalError, match=value):
-            Session.from_entry(entry)
-    session = Session(TWIN.defaults())
-    for entry, value in (
-        ({'kind': 'input', 'step': 2, 'input': 'sing'}, 'sing'),
-        ({'kind': 'input', 'step': 1, 'input': 'throw'}, 'before step 2'),
-    ):
-        with pytest.raises(journal.JournalError, match=value):
-            list(session.follow(entry))
+def test_unknown_input_is_refused_and_quoted() -> None:
+    entry = {'kind': 'input', 'step': 2, 'input': 'sing'}
+    with pytest.raises(journal.JournalError, match='sing'):
+        list(Run().session.follow(entry))

@@ -20,11 +20,10 @@ from soft_throw_ros.nodes.conversions import comparison_text, throw_text
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import draw_chances, SensorFaults
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.sample_buffer import Sample, Samples
 from soft_throw_ros.twin.session import RequestRejected
-from soft_throw_ros.twin.tick_schedule import SECOND
-from twin_runs import measured_throw, Run, states_at
+from twin_runs import measured_throw, Run, Sample, samples_of, states_at
 
 ONSET = 0.0512345
 MEASURED = {'engine__motion': 'measured'}
@@ -41,15 +40,9 @@ def quiet() -> Any:
 # prediction
 
 
-def test_throw_starts_with_the_plate(quiet) -> None:
-    assert quiet.phases()[:3] == [Phase.REST, Phase.CONTACT, Phase.FLIGHT]
-    (entry,) = quiet.entries('throw')
-    assert entry['onset']['onset_ns'] - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
-    assert entry['step'] <= 55  # nothing is lost, though it is seen after 3 ms
-
-
 def test_predicted_release_agrees_with_the_release(quiet) -> None:
     exact = simulate(quiet.rig)
+    assert quiet.phases()[:3] == [Phase.REST, Phase.CONTACT, Phase.FLIGHT]
     (first, certain), (release,) = quiet.results('predicted'), quiet.results('release')
     for result in (first, certain, release):
         tolerance = 0.01 if result is first else 1e-3
@@ -102,10 +95,6 @@ def test_throw_field_agrees_with_the_throw(quiet) -> None:
     (expected,) = (outputs.throw_field() for outputs in exact.outputs if outputs.throw_field)
     assert field.times == pytest.approx(expected.times, rel=2e-3)
     assert np.abs(field.strain - expected.strain).max() < 5e-3
-    time, *energies = field.energies.T
-    for measured, exact_energy in zip(energies, expected.energies.T[1:], strict=True):
-        difference = np.interp(expected.energies[:, 0], time, measured) - exact_energy
-        assert np.abs(difference).max() < 5e-3 * expected.energies.max()
     assert field.start_ns - quiet.begin_ns == pytest.approx(51_234_500, abs=2000)
 
 
@@ -174,11 +163,8 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
     run, random = Run(**MEASURED), np.random.default_rng(2)
 
     def scatter(samples: list[Sample]) -> list[Sample]:  # by twenty times of what is stated
-        late_ns = np.rint(2e5 * random.standard_normal(len(samples))).astype(int).tolist()
-        return [
-            sample._replace(stamp_ns=sample.stamp_ns + late)
-            for sample, late in zip(samples, late_ns, strict=True)
-        ]
+        late = np.rint(2e5 * random.standard_normal(len(samples))).astype(int).tolist()
+        return [s._replace(stamp_ns=s.stamp_ns + ns) for s, ns in zip(samples, late, strict=True)]
 
     for throw in (1, 2):
         run.measure(noise=5e-6, seed=throw + 1, duration=0.2, change=scatter)
@@ -190,24 +176,6 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
         assert not {'ejection_time', 'energy_transfer', 'accuracy.samples', 'lead'} & set(values)
         assert 'noisy' in throw_text(final)
     assert not run.results('release')
-
-
-def test_missing_samples_and_skipped_steps_are_in_the_result() -> None:
-    missing, stalled, steady = (Run(**MEASURED) for _ in range(3))
-    samples = measured_throw(steady.rig, begin_ns=Run.begin_ns, noise=5e-6)
-    missing.send(sample for index, sample in enumerate(samples) if index % 5)
-    for run in (stalled, steady):
-        run.send(samples)
-    stalled.go(62)  # after the release; then seven steps are left out
-    stalled.schedule = replace(stalled.schedule, time_ns=stalled.schedule.time_ns + 7_000_000)
-    stalled.session.set_tick_schedule(stalled.schedule)
-    for run, least, skipped in ((missing, 30, 0.0), (stalled, 0, 7e-3), (steady, 0, 0.0)):
-        run.receive()
-        run.session.reset()
-        run.go(3)
-        disturbances = run.results('final')[0].disturbances
-        assert least <= disturbances.samples_missing <= 3 * least  # of the samples that are kept
-        assert disturbances.time_skipped == pytest.approx(skipped)
 
 
 def trial(
@@ -358,7 +326,7 @@ def test_plate_at_rest_is_shown_where_it_is_measured() -> None:
 
 def test_request_applies_a_pending_measurement_and_starts_no_throw() -> None:
     run = Run(throw__period=0.0)
-    run.session.measure(Samples.of([Sample(run.begin_ns, 0.0)]))  # without a listener
+    run.session.measure(samples_of([Sample(run.begin_ns, 0.0)]))  # without a listener
     run.session.change({'engine.motion': 'measured'})
     run.session.request_throw()
     run.measure()
@@ -420,7 +388,7 @@ def test_arbitrary_samples_are_followed_or_refused_and_replayed(
     run.measure(noise=5e-6)
     run.session.reset()
     run.go(3)
-    assert run.results('final')[-1].disturbances.clock_offset_ns == 10**18
+    assert run.results('final')[-1].clock_offset_ns == 10**18
     run.assert_repeated(throw if throw <= run.session.throws else 0)
 
 

@@ -57,16 +57,3 @@ def test_recent_deviations_widen_the_limit_until_the_noise_is_over() -> None:
     assert find(spike) == [4]
     assert max(find([*noisy, *spike])) < 100  # the filter has to learn the noise
     assert find([*noisy, *[0.0] * 200, *spike])[-1] == 2204
-
-
-def test_batches_find_the_same_outliers() -> None:
-    random = np.random.default_rng(2)
-    heights = NOISE * random.standard_normal((400, 2))
-    heights[random.random((400, 2)) < 0.05] += 1e-3
-    heights[random.random((400, 2)) < 0.05] = math.nan
-    stamps = INTERVAL * np.arange(400)
-    expected = OutlierFilter(PLATE, NOISE, 0.0).find(stamps, heights)
-    assert expected.any(axis=0).all()
-    outliers = OutlierFilter(PLATE, NOISE, 0.0)
-    batches = [outliers.find(stamps[n:n + 7], heights[n:n + 7]) for n in range(0, 400, 7)]
-    np.testing.assert_array_equal(np.concatenate(batches), expected)

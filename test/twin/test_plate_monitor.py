@@ -9,10 +9,18 @@ import math
 
 import numpy as np
 import pytest
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
-from soft_throw_ros.twin.sample_buffer import Onset, Sample, SampleCounts, Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
-from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, PLATE
+from soft_throw_ros.twin.sample_buffer import Onset, SampleCounts
+from twin_runs import (
+    BEGIN,
+    INTERVAL,
+    make_samples,
+    MEASUREMENT,
+    PLATE,
+    Sample,
+    samples_of,
+)
 
 CROSSING = 2e-3  # [s]
 
@@ -21,7 +29,7 @@ def detect(samples: list[Sample]) -> tuple[Onset | None, int]:
     """Return the first onset and the number of samples needed."""
     monitor = PlateMonitor(MEASUREMENT, CROSSING, SampleCounts())
     for count, sample in enumerate(samples, 1):
-        monitor.buffer.add(Samples.of([sample]), sample.stamp_ns)
+        monitor.buffer.add(samples_of([sample]), sample.stamp_ns)
         onset = monitor.advance(sample.stamp_ns)
         if onset is not None:
             return onset, count
@@ -89,7 +97,7 @@ def feed(monitor: PlateMonitor, heights: np.ndarray, rate: float) -> None:
         Sample(first_ns + round((n + 1) * SECOND / rate), height)
         for n, height in enumerate(heights.tolist())
     ]
-    monitor.buffer.add(Samples.of(samples), samples[-1].stamp_ns)
+    monitor.buffer.add(samples_of(samples), samples[-1].stamp_ns)
     monitor.advance(samples[-1].stamp_ns)
 
 
@@ -111,14 +119,12 @@ def test_noise_at_rest_is_reported_once_with_its_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ('request_', 'least', 'reason'),
+    ('request_', 'least'),
     [
-        ({'crossing': 1e-4}, '30000 Hz', 'crossing of the wave'),
-        ({'rate': 1500.0}, '2000 Hz', 'smoothing_window'),
-        ({'frequency': 300.0}, '6000 Hz', 'period of the plate'),
+        ({'crossing': 1e-4}, '30000 Hz'), ({'rate': 1500.0}, '2000 Hz'),
+        ({'frequency': 300.0}, '6000 Hz'),
     ],
 )
-def test_rate_that_is_too_low_is_reported_with_the_reason(request_, least, reason) -> None:
+def test_rate_that_is_too_low_is_reported_with_the_least_one(request_, least) -> None:
     (fault,) = watch(**request_).faults()
     assert least in fault
-    assert reason in fault

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import (
     AMPLITUDE_ERROR,
     PlateObserver,
@@ -17,13 +18,12 @@ from soft_throw_ros.twin.plate_observer import (
     ReleaseResponse,
     UNMODELLED,
 )
-from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline, Sample, Samples
-from soft_throw_ros.twin.tick_schedule import SECOND
-from twin_runs import BEGIN, MEASUREMENT, PLATE
+from soft_throw_ros.twin.sample_buffer import Onset, RestBaseline
+from twin_runs import BEGIN, MEASUREMENT, PLATE, Sample, samples_of
 
 NOISE = 5e-6
 REST = RestBaseline(plate=0.3, projectile=math.nan, noise=NOISE, error=1e-6)
-ONSET = Onset(onset_ns=BEGIN, rest=REST, samples=Samples.of([]))
+ONSET = Onset(onset_ns=BEGIN, rest=REST, samples=samples_of([]))
 CONFIG = replace(
     MEASUREMENT, stamp_error=0.0, frequency_error=0.0, damping_error=0.0,
     smoothing_window_ns=SECOND // 50,  # so long that nothing is settled
@@ -42,7 +42,7 @@ def observe(
         Sample(BEGIN + (n + 1) * round(STEP * SECOND), 0.3 + height)
         for n, height in enumerate(heights.tolist())
     ]
-    observer.add(Samples.of(samples))
+    observer.add(samples_of(samples))
     return observer
 
 

@@ -77,12 +77,3 @@ def test_motion_that_no_controller_may_play_is_not_commanded(write, text, reques
     prepare(values)
     with pytest.raises(ValueError, match=f'engine.command needs .*{word}'):
         prepare({**values, 'engine.command': True})
-
-
-@pytest.mark.parametrize('request_', [{}, {'throw__period': 0.06}, {'throw__period': 0.0}])
-def test_motion_that_a_controller_may_play_is_commanded(write, request_) -> None:
-    values = complete_settings(
-        engine__motion_file=str(write(stroke(3, velocity=-1e-8), 'plate.csv')),
-        engine__command=True, **request_,
-    )
-    assert prepare(values).config.command_lead is not None

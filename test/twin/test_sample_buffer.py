@@ -11,15 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from soft_throw_ros.twin.sample_buffer import (
-    FUTURE,
-    PAST,
-    Sample,
-    SampleBuffer,
-    SampleCounts,
-    Samples,
-)
-from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT
+from soft_throw_ros.twin.sample_buffer import FUTURE, PAST, SampleBuffer, SampleCounts
+from twin_runs import BEGIN, INTERVAL, make_samples, MEASUREMENT, Sample, samples_of
 
 
 def run(buffer: SampleBuffer, samples: list[Sample], *, batch: int = 5) -> list[list[float]]:
@@ -27,7 +20,7 @@ def run(buffer: SampleBuffer, samples: list[Sample], *, batch: int = 5) -> list[
     completed = []
     for first in range(0, len(samples), batch):
         now_ns = max(sample.stamp_ns for sample in samples[: first + batch])
-        buffer.add(Samples.of(samples[first:first + batch]), now_ns)
+        buffer.add(samples_of(samples[first:first + batch]), now_ns)
         new = buffer.complete(now_ns)
         completed += np.column_stack((new.stamps, new.heights)).tolist()
     return completed
@@ -65,7 +58,7 @@ def test_late_samples_are_refused_and_change_nothing() -> None:
     late = samples.pop(50)
     without, with_late = (SampleBuffer(MEASUREMENT, SampleCounts()) for _ in range(2))
     completed = run(with_late, samples[:60])
-    assert not with_late.add(Samples.of([late]), samples[59].stamp_ns)
+    assert not with_late.add(samples_of([late]), samples[59].stamp_ns)
     assert completed + run(with_late, samples[60:]) == run(without, samples)
     assert with_late.counts.refused == {'late': 1}
 
@@ -85,7 +78,7 @@ def test_late_samples_are_refused_and_change_nothing() -> None:
 )
 def test_bad_samples_are_refused_with_a_reason(sample, reason) -> None:
     buffer = SampleBuffer(MEASUREMENT, SampleCounts())
-    assert not buffer.add(Samples.of([sample]), BEGIN)
+    assert not buffer.add(samples_of([sample]), BEGIN)
     assert buffer.counts.refused == {reason: 1}
     assert not buffer.complete(BEGIN)
 
@@ -97,5 +90,4 @@ def test_old_samples_are_dropped_and_gaps_are_measured() -> None:
     assert buffer.gap == pytest.approx(4e-4)
     assert buffer.rate() == pytest.approx(5000.0)
     assert samples[-1].stamp_ns - buffer.samples.stamps[0] == pytest.approx(32e6, abs=INTERVAL)
-    assert buffer.missing_since(BEGIN) == 32
     assert buffer.complete(samples[-1].stamp_ns).stamps.size == buffer.gap == 0

@@ -14,15 +14,33 @@ import numpy as np
 import pytest
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import RETURN_TIME
 from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.session import RequestRejected
+from soft_throw_ros.twin.session import RequestRejected, TickSchedule
 from twin_runs import Run, stroke
 
 RETURN = round(1000 * RETURN_TIME)
 
 
 # schedule
+
+
+@given(rate=st.floats(10.0, 5000.0), start=st.integers(1, 2**61), steps=st.integers(0, 10**10))
+def test_deadlines_never_drift(rate, start, steps) -> None:
+    schedule = TickSchedule(step=7, time_ns=start, rate=rate)
+    exact = start + steps * SECOND / rate
+    assert abs(schedule.deadline(7 + steps) - exact) <= 1 + 4e-16 * exact
+
+
+@given(rate=st.floats(10.0, 5000.0), stall=st.integers(0, 10**13))
+def test_skipping_leaves_the_allowed_catch_up(rate, stall) -> None:
+    schedule = TickSchedule(step=0, time_ns=SECOND, rate=rate)
+    now, allowed, period = SECOND + stall, SECOND // 10, SECOND / rate
+    ticks = schedule.skip(step=0, now=now, max_catch_up=allowed)
+    late = now - schedule.deadline(0)
+    assert (ticks == 0) == (stall < allowed + period)
+    assert late == stall if not ticks else allowed - 2 <= late <= allowed + period + 2
 
 
 @pytest.mark.parametrize(
@@ -89,10 +107,7 @@ def test_request_under_way_is_rejected(request_, steps, reason) -> None:
     [
         ({'throw__max_events': 3}, {'max_events'}),
         ({'gravity': 0, 'rate__state': 100.0}, {'duration'}),  # it never lands
-        (
-            {'engine__frequency': 5.0, 'engine__amplitude': 1e-3},
-            {'rest', 'duration'},
-        ),  # nor leaves
+        ({'engine__frequency': 5, 'engine__amplitude': 1e-3}, {'rest', 'duration'}),  # nor leaves
     ],
 )
 def test_every_throw_ends(request_, reasons) -> None:
@@ -239,18 +254,6 @@ def test_layer_is_published_at_its_rate(state, field) -> None:
     assert rows == pytest.approx(10 * min(state, field), abs=1)
 
 
-def test_layer_in_contact_reaches_from_plate_to_projectile() -> None:
-    run = Run(rate__field=1000.0)
-    run.go_until(Phase.CONTACT)
-    for outputs in run.go(8):
-        layer, state = outputs.layer, outputs.state
-        assert layer.height[0] == pytest.approx(state.plate_position, abs=1e-9)
-        assert layer.height[-1] == pytest.approx(state.projectile_position, abs=1e-4)
-        assert layer.velocity[0] == pytest.approx(state.plate_velocity, abs=1e-9)
-        assert layer.force[-1] == pytest.approx(state.projectile_force, abs=1e-6)
-        assert layer.force[0] == pytest.approx(-state.plate_force, abs=1e-6)
-
-
 def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
     run = Run()
     run.go(3100)
@@ -260,9 +263,6 @@ def test_throw_field_is_published_once_per_throw_with_its_start() -> None:
     assert [field.start_ns for _, field in fields] == [
         run.schedule.deadline(step) for step in run.starts()
     ]
-    field, release = fields[0][1], run.results('release')[0].first
-    assert field.times[-1] == pytest.approx(1.5 * release.ejection_time)
-    assert field.strain.shape == (field.times.size, 64)
 
 
 # changes
@@ -300,9 +300,6 @@ def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> No
     run.go(10)
     rest = run.outputs[-1].state
     run.session.change({'layer.thickness': 0.01})
-    run.session.change({'layer.thickness': 0.0168})  # which is taken back
-    assert run.session.pending == {}
-    run.session.change({'layer.thickness': 0.01})
     assert all(outputs.state == rest for outputs in run.go(500))
     run.session.request_throw()
     (outputs,) = run.go(1)
@@ -333,22 +330,18 @@ def test_reset_ends_the_throw_and_restarts_the_period() -> None:
 # once more
 
 
-INPUTS = st.one_of(
-    st.just('throw'),
-    st.just('reset'),
-    st.fixed_dictionaries(
-        {},
-        optional={
-            'layer.thickness': st.sampled_from([5e-3, 0.0168, 0.03]),
-            'gravity': st.sampled_from([0.0, 9.81]),
-            'layer.loss_tangent': st.sampled_from([0.0, 0.05]),
-            'layer.stress_strain_law': st.sampled_from(['linear', 'neo_hookean']),
-            'rate.state': st.sampled_from([200.0, 1000.0]),
-            'time_scale': st.sampled_from([0.3, 1.0]),
-            'throw.period': st.sampled_from([0.0, 0.05, 0.21]),
-            'throw.max_events': st.sampled_from([1, 5]),
-        },
-    ),
+CHANGES = {
+    'layer.thickness': [5e-3, 0.0168, 0.03],
+    'gravity': [0.0, 9.81],
+    'layer.loss_tangent': [0.0, 0.05],
+    'layer.stress_strain_law': ['linear', 'neo_hookean'],
+    'rate.state': [200.0, 1000.0],
+    'time_scale': [0.3, 1.0],
+    'throw.period': [0.0, 0.05, 0.21],
+    'throw.max_events': [1, 5],
+}
+INPUTS = st.sampled_from(['throw', 'reset']) | st.fixed_dictionaries(
+    {}, optional={name: st.sampled_from(values) for name, values in CHANGES.items()}
 )
 
 
@@ -401,9 +394,9 @@ def test_motions_are_read_when_their_files_are_set_and_replayed_without_them(wri
     run.assert_repeated()
 
 
-@pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100)])
+@pytest.mark.parametrize(('period', 'lead'), [(0.0, 200), (1.0, 200), (0.4, 100), (0.06, 15)])
 def test_motion_is_commanded_before_its_throw(write, period, lead) -> None:
-    playable = str(write(stroke(), 'playable.csv'))
+    playable = str(write(stroke(3, velocity=-1e-8), 'playable.csv'))
     run = Run(engine__motion_file=playable, engine__command=True, throw__period=period)
     run.go(50)
     if not period:
