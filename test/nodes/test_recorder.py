@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder and its raw subscriptions in this process; independent readers read its bags."""
+"""The recorder and its raw subscriptions in this process; the mcap library reads its bags."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from pathlib import Path
 import shutil
 from typing import Any
 
-from bags import notes, saved
+from bags import notes, PLAIN, saved
 from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from ros_nodes import rules
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import get_typestore, Stores
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS, TWIN_TOPICS
 from soft_throw_ros.nodes import recorder as recorder_module
@@ -27,10 +26,9 @@ from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.nodes.recorder import Recorder
 from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.message import Channel, Message, SECOND
+from soft_throw_ros.storage.message import SECOND
 from std_msgs.msg import String
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 BEST_EFFORT = QoSProfile(depth=9, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATER = '/talk of a later publisher'
@@ -38,13 +36,8 @@ START, STOP = RECORDER_SERVICES.start, RECORDER_SERVICES.stop
 
 
 def texts(path: Path) -> list[str]:
-    """Return the texts of the messages of a bag, read by an independent program."""
-    with Reader(path) as reader:
-        assert reader.ros_distro in ('jazzy', 'kilted')
-        return [
-            TYPES.deserialize_cdr(data, connection.msgtype).data
-            for connection, _time, data in reader.messages()
-        ]
+    """Return the texts of the messages of a bag, read by the mcap library."""
+    return [deserialize_message(data, String).data for _, data, *_ in saved(path)]
 
 
 @pytest.fixture
@@ -242,29 +235,23 @@ def test_no_message_is_read_before_the_clock_starts(ros, recorder, talker, tmp_p
 
 
 def test_gaps_are_lost_and_messages_before_the_first_one_are_not(ros, talker):
-    channel = Channel(topic='/talk', type='std_msgs/msg/String', schema='string data')
-    publisher = talker.create_publisher(String, '/talk', 100)
+    publisher = talker.create_publisher(String, PLAIN.topic, 100)
     for _ in range(7):
         publisher.publish(String(data='too early'))
-    subscription = RawSubscription(ros.node(Node, 'listener'), channel, QoSProfile(depth=3))
-    taken: list[Message] = []
+    subscription = RawSubscription(ros.node(Node, 'listener'), PLAIN, QoSProfile(depth=3))
+    numbers: list[int] = []
 
-    def is_received() -> bool:  # the publisher may be matched before the subscription is
-        publisher.publish(String(data='first'))
-        taken.extend(subscription.drain())
-        return bool(taken)
+    def last() -> int:
+        numbers.extend(message.sequence for message in subscription.drain())
+        return max(numbers, default=0)
 
-    ros.spin_until(is_received, 'the first message')
-    for number in range(100):  # the subscription keeps the last three
-        publisher.publish(String(data=str(number)))
-    ros.spin_until(
-        lambda: taken.extend(subscription.drain())
-        or taken[-1].sequence >= taken[0].sequence + 100,
-        'the last message',
-    )
+    # The publisher may be matched before the subscription is
+    ros.spin_until(lambda: publisher.publish(String()) or last() > 0, 'the first message')
+    for _ in range(100):  # the subscription keeps the last three
+        publisher.publish(String())
+    ros.spin_until(lambda: last() >= numbers[0] + 100, 'the last message')
     subscription.poll_losses()
-    assert subscription.received == len(taken)
-    assert taken[0].sequence > 7
-    missing = taken[-1].sequence - taken[0].sequence + 1 - len(taken)
-    assert subscription.lost == missing > 0
+    assert subscription.received == len(numbers)
+    assert numbers[0] > 7
+    assert subscription.lost == last() - numbers[0] + 1 - len(numbers) > 0
     subscription.close()
