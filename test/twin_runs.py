@@ -45,7 +45,7 @@ class Run:
         self.outputs: list[Outputs] = []
         self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
-        self.session = Session(self.settings, on_entry=self.on_entry)
+        self.session = Session(self.settings, on_entry=self.journal.append)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
@@ -56,19 +56,11 @@ class Run:
         for _ in range(steps):
             self.now = self.schedule.deadline(self.session.step)
             count = sum(arrival <= self.now for arrival, _ in self._waiting)
-            self.on_samples([sample for _, sample in self._waiting[:count]])
+            samples = Samples.of([sample for _, sample in self._waiting[:count]])
             del self._waiting[:count]
-            self.on_step(self.session.advance())
+            self.session.measure(samples, clock_offset_ns=self.clock_offset_ns)
+            self.outputs.append(self.session.advance())
         return self.outputs[first:]
-
-    def on_entry(self, line: str) -> None:
-        self.journal.append(line)
-
-    def on_samples(self, samples: Sequence[Sample]) -> None:
-        self.session.measure(Samples.of(samples), clock_offset_ns=self.clock_offset_ns)
-
-    def on_step(self, outputs: Outputs) -> None:
-        self.outputs.append(outputs)
 
     def go_until(self, phase: Phase, limit: int = 20_000) -> Outputs:
         """Advance to the step that enters a phase."""
