@@ -7,6 +7,7 @@ Replacements of the package launch, which is not on PyPI, record the actions of 
 launch itself is tested by hand, from its sources.
 """
 
+import itertools
 import json
 from pathlib import Path
 import re
@@ -20,8 +21,8 @@ import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration import files, ParameterError, TWIN
 from soft_throw_ros.configuration.interface import (
+    ARRAY,
     FRAME,
-    JOINT_STATE,
     JOINTS,
     LAYER_JOINTS,
     resolve,
@@ -111,17 +112,26 @@ def test_named_files_arguments_and_executables_exist(name):
     for included in actions(name, 'IncludeLaunchDescription'):
         assert Path(included.name).is_file()
         assert 'launch_arguments' not in included.kwargs  # would override the user's
-    for node in actions(name, 'Node'):
+    for node in actions(name, 'Node'):  # follows the clock of the twin
         assert node.kwargs['package'] == 'soft_throw_ros'
         assert node.kwargs['executable'] in EXECUTABLES
+        path, values = node.kwargs['parameters']
+        assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
 
 
-def test_twin_starts_alone_with_its_parameter_file():
-    (twin,) = nodes(namespace='rig1').values()
+@pytest.mark.parametrize('is_set', [False, True])
+def test_twin_starts_alone_or_with_all_that_is_true_with_a_capital_letter(is_set):
+    flags = {'record': 'recorder', 'description': 'robot_state_publisher', 'use_sim_time': 'twin'}
+    started = nodes(namespace='rig1', rviz='False', **dict.fromkeys(flags, str(is_set)))
+    assert set(started) == (set(flags.values()) if is_set else {'twin'})
+    twin = started['twin']
     assert (twin['executable'], twin['name'], twin['namespace']) == ('twin', 'twin', 'rig1')
     path, values = twin['parameters']
     assert yaml.safe_load(Path(path).read_text())
-    assert values == {'use_sim_time': False}
+    assert values == {'use_sim_time': is_set}
+    for action in actions('twin.launch.py', 'DeclareLaunchArgument'):
+        if action.name in flags:
+            assert {'true', 'True', 'false', 'False'} <= set(action.kwargs['choices'])
 
 
 FIRST = {'folder': 'bags', 'name': 'first'}
@@ -175,24 +185,18 @@ def test_rviz_shows_the_rig_of_the_namespace_in_its_sizes(write, argument, names
         ({'params_file': 'nope.yaml'}, RuntimeError, r'params_file:=nope\.yaml'),
         ({'output': '.'}, RuntimeError, r'output:=\.: exists'),
         ({'output': 'a', 'uri': 'b'}, RuntimeError, 'output:=a and uri:=b'),
+        ({'use_rviz': 'true'}, RuntimeError, 'use_rviz:=true .* apt install ros-jazzy-rviz2'),
     ],
 )
-def test_bad_argument_is_refused_before_any_node_starts(
-    write, tmp_path, monkeypatch, arguments, error, message
+def test_bad_argument_or_missing_package_is_refused_before_any_node_starts(
+    write, tmp_path, monkeypatch, stand_ins, arguments, error, message
 ):
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
+    stand_ins.get_package_prefix = {'robot_state_publisher': '/opt'}.__getitem__  # and no other
     write('twin: {ros__parameters: {layer.thickness: -1.0}}', 'mine.yaml')
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=message):
         nodes(**arguments)
-
-
-@pytest.mark.parametrize('argument', ['description', 'use_rviz'])
-def test_missing_package_is_refused_with_its_name(monkeypatch, stand_ins, argument):
-    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
-    monkeypatch.setattr(stand_ins, 'get_package_prefix', {}.__getitem__)  # there is none
-    message = f'{argument}:=true .* apt install ros-jazzy-robot-state-publisher'
-    with pytest.raises(RuntimeError, match=message):
-        nodes(**{argument: 'true'})
 
 
 def test_failure_of_the_recorder_ends_the_launch():
@@ -200,24 +204,6 @@ def test_failure_of_the_recorder_ends_the_launch():
     on_exit(SimpleNamespace(returncode=0), None)
     with pytest.raises(RuntimeError, match='exit code 2'):
         on_exit(SimpleNamespace(returncode=2), None)
-
-
-def test_true_and_false_may_begin_with_a_capital_letter():
-    flags = dict.fromkeys(('record', 'description', 'use_sim_time'), 'True')
-    started = nodes(**flags, rviz='False')
-    assert set(started) == {'twin', 'recorder', 'robot_state_publisher'}
-    assert started['twin']['parameters'][-1] == {'use_sim_time': True}
-    for action in actions('twin.launch.py', 'DeclareLaunchArgument'):
-        if action.name in flags:
-            assert {'true', 'True', 'false', 'False'} <= set(action.kwargs['choices'])
-
-
-def test_rig_and_calibrator_follow_the_clock_of_the_twin():
-    declared = actions('loop.launch.py', 'Node') + actions('measured.launch.py', 'Node')
-    assert [node.kwargs['executable'] for node in declared] == ['rig', *2 * ['calibrator']]
-    for node in declared:
-        path, values = node.kwargs['parameters']
-        assert (path.name, values['use_sim_time'].name) == ('params_file', 'use_sim_time')
 
 
 def test_joints_of_the_model_agree_with_the_twin_and_it_can_be_the_value_of_a_parameter():
@@ -267,31 +253,23 @@ def test_sizes_of_the_model_are_those_of_the_parameters(write, request_, thickne
     assert np.sum(halves) == pytest.approx(0.5 * thickness * 10.0 / 14.0)
 
 
-def curves():
-    """Yield the program, the topic and the rest of the name of every curve of the layouts."""
-    panels = json.loads((ROOT / 'config/foxglove.json').read_text())['configById'].values()
-    for path in [path['value'] for panel in panels for path in panel.get('paths', [])]:
-        yield 'foxglove', *path.split('.', 1)
-    for curve in ET.parse(ROOT / 'config/plotjuggler.xml').iter('curve'):
-        name = max((name for name in TOPICS if curve.get('name').startswith(f'{name}/')), key=len)
-        yield 'plotjuggler', name, curve.get('name').removeprefix(f'{name}/')
-
-
 def test_layouts_plot_numbers_of_topics_of_the_twin(result_keys):
-    for program, name, rest in curves():
-        topic = TOPICS[name]
-        if program == 'foxglove' and topic.type == JOINT_STATE:
-            quantity, index = re.fullmatch(r'(\w+)\[(\d+)\]', rest).groups()
-            assert (quantity in topic.quantities, int(index) < len(topic.joints)) == (True, True)
-        elif topic.type == JOINT_STATE:
-            joint, quantity = rest.split('/')
-            assert (joint in topic.joints, quantity in topic.quantities) == (True, True)
-        else:  # of diagnostics; for PlotJuggler hardware_id, name and key
-            pattern = {
-                'foxglove': r'status\[0\]\.values\[:\]{key=="(\w+)"}\.value',
-                'plotjuggler': r'/twin//twin: (?:throw|recommendation)/(\w+)',
-            }[program]
-            assert re.fullmatch(pattern, rest)[1] in result_keys
+    names = set()
+    for name, topic in TOPICS.items():
+        for (number, joint), quantity in itertools.product(
+            enumerate(topic.joints), topic.quantities
+        ):
+            names |= {f'{name}.{quantity}[{number}]', f'{name}/{joint}/{quantity}'}
+        if topic.type == ARRAY:
+            names |= {f'{name}.status[0].values[:]{{key=="{key}"}}.value' for key in result_keys}
+            names |= {  # with hardware_id, name and key
+                f'{name}//twin//twin: {task}/{key}'
+                for key in result_keys for task in ('throw', 'recommendation')
+            }
+    panels = json.loads((ROOT / 'config/foxglove.json').read_text())['configById'].values()
+    paths = {path['value'] for panel in panels for path in panel.get('paths', [])}
+    curves = ET.parse(ROOT / 'config/plotjuggler.xml').iter('curve')
+    assert paths | {curve.get('name') for curve in curves} <= names
 
 
 @pytest.mark.parametrize(

@@ -162,13 +162,9 @@ def make_samples(
 
 
 def complete_settings(**request: Any) -> dict[str, Any]:
-    """Return complete settings."""
-    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named(request))}
-
-
-def named(request: dict[str, Any]) -> dict[str, Any]:
-    """Return settings under their names, with dots."""
-    return {name.replace('__', '.'): value for name, value in request.items()}
+    """Return complete settings, `a__b` for a.b."""
+    change = {name.replace('__', '.'): value for name, value in request.items()}
+    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), change)}
 
 
 def same(ours: Outputs, theirs: Outputs) -> bool:

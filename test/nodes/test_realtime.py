@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import itertools
 import time
 from typing import Any
@@ -13,7 +12,6 @@ from bags import wait_until
 import pytest
 from ros_nodes import GivenClock, MILLISECOND
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
-from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -101,23 +99,3 @@ def test_system_clock_detects_changes(monkeypatch):
     clock.adjust()
     assert clock.epoch == 1
     assert clock.now() < before
-
-
-def test_worker_cancels_outdated_requests_and_serves_the_latest():
-    begun: list[int] = []
-    served: list[int] = []
-
-    def serve(request: int, cancelled: Callable[[], bool]) -> None:
-        begun.append(request)
-        if request < 99:
-            wait_until(cancelled)
-        if not cancelled():
-            served.append(request)
-
-    worker = LatestOnlyWorker(serve, interval=0.2)
-    for request in range(100):
-        worker.submit(request)
-    wait_until(lambda: bool(served))
-    worker.close(60.0)
-    assert served == [99]
-    assert len(begun) < 10

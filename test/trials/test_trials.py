@@ -38,7 +38,7 @@ def test_large_deviations_without_a_warning_are_counted_as_silently_wrong():
     ]
     verdicts = [Verdict(row='clean', number=0, results=item, seconds=0.1) for item in results]
     assert [verdict.is_silently_wrong for verdict in verdicts] == [False, False, True]
-    cells = [cell.strip() for cell in table_line('clean', verdicts).strip('|').split('|')]
+    cells = map(str.strip, table_line('clean', verdicts).strip('|').split('|'))
     counted = dict(zip(HEADS, cells, strict=True))
     assert [counted[name] for name in ('rigs', 'silently wrong', 'c_s')] == ['3', '1', '67 %']
     assert '1 of 3' in summary(verdicts, ['clean'])
@@ -54,10 +54,8 @@ def test_command_identifies_a_clean_throw(capsys, tmp_path):
         assert Deviation(*clean['results'][name]).errors < 4.0
 
 
-@pytest.mark.parametrize(
-    ('args', 'value'), [(['--rows', 'nothing'], 'nothing'), (['--rigs', '0'], '0')]
-)
-def test_command_refuses_impossible_arguments(capsys, args, value):
+@pytest.mark.parametrize(('option', 'value'), [('--rows', 'nothing'), ('--rigs', '0')])
+def test_command_refuses_impossible_arguments(capsys, option, value):
     with pytest.raises(SystemExit):
-        main(args)
+        main([option, value])
     assert value in capsys.readouterr().err
