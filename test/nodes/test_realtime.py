@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of the ticker on a clock set by the test."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from typing import Any

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of `replay`: playback of bags, checks, refused arguments and the end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 import re
@@ -43,23 +41,6 @@ def messages(count: int) -> list[Message]:
     ]
 
 
-def datas(made: list[Message], topic: str) -> list[bytes]:
-    return [message.data for message in made if message.channel.topic == topic]
-
-
-@pytest.fixture
-def listen(ros: Any) -> Callable[..., list[Any]]:
-    """Return a function that returns the list of messages, or bytes, that a topic will fill."""
-    node = ros.node(Node, 'listener')
-
-    def listen(topic: str, qos: int | QoSProfile = 5000, kind: Any = String) -> list[Any]:
-        heard: list[Any] = []
-        node.create_subscription(kind, topic, heard.append, qos, raw=kind is String)
-        return heard
-
-    return listen
-
-
 @pytest.fixture
 def play(request: Any, ros: Any, tmp_path: Path) -> Callable[..., Player]:
     """Return a function that plays messages, or a bag, to a number of subscribers."""
@@ -83,12 +64,20 @@ def finish(ros: Any, player: Player) -> int | None:
     return player.exit_code
 
 
-def test_bag_is_played_byte_by_byte_and_paused_beside_a_clock_of_the_time_of_the_bag(
-    ros, listen, play, capfd
+def test_bag_is_played_byte_by_byte_and_paused_beside_a_clock_of_its_time(
+    ros, play, capfd
 ):
     made = messages(500)
     for other in (channel('/clock', 'rosgraph_msgs/msg/Clock'), channel('/unwanted')):
         made.insert(50, made[50]._replace(channel=other))
+    node, latched = ros.node(Node, 'listener'), DurabilityPolicy.TRANSIENT_LOCAL
+
+    def listen(topic: str, kind: Any = String, **qos: Any) -> list[Any]:
+        messages: list[Any] = []
+        profile = QoSProfile(depth=5000, **qos)
+        node.create_subscription(kind, topic, messages.append, profile, raw=kind is String)
+        return messages
+
     heard = {topic: listen(topic) for topic in ('/fast', '/slow', '/unwanted')}
     clocks = listen('/clock', kind=Clock)
     topics = ['/clock', '/fast', '/slow', '/lossy', '/unknown']
@@ -104,9 +93,11 @@ def test_bag_is_played_byte_by_byte_and_paused_beside_a_clock_of_the_time_of_the
     assert listener.trigger(REPLAY_SERVICES.resume).success
     assert finish(ros, player) == 0
     # Late subscribers get the publisher's history, or all messages if the bag has no depth
-    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    late, heard['/unknown'] = listen('/slow', latched), listen('/unknown', latched)
-    sent = {topic: datas(made, topic) if topic in topics else [] for topic in heard}
+    late, heard['/unknown'] = (listen(name, durability=latched) for name in ('/slow', '/unknown'))
+    sent = {
+        topic: [item.data for item in made if item.channel.topic == topic in topics]
+        for topic in heard
+    }
     ros.spin_until(lambda: list(map(len, heard.values())) == list(map(len, sent.values())))
     ros.spin_until(lambda: len(late) == 3, 'receipt of latched messages')
     assert (heard, late) == (sent, sent['/slow'][-3:])
@@ -144,8 +135,7 @@ def test_unplayable_topics_are_skipped_and_reported(ros, play, capfd):
         assert reasons[f'/of_{number}'] == f'{kind} is not installed here'
     assert {'bad name', '/deep', '/otherwise'} <= set(reasons)
     printed = capfd.readouterr().err
-    for topic, reason in reasons.items():
-        assert f'{topic} is skipped: {reason}' in printed
+    assert all(f'{topic} is skipped: {reasons[topic]}' in printed for topic in reasons)
     assert player.played == len(made) - 2 * len(reasons)
     assert finish(ros, play(made[:1])) == 1
 

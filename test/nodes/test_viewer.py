@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `viewer` as a process, with Rerun viewers that come late and hang."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import signal
@@ -43,17 +41,11 @@ def throw(ros: Any, twin: Any, count: int) -> None:
 
 def show(start_node: Any, port: int) -> Any:
     """Start the node without a screen, and wait until it is ready."""
-    hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
-    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    screens = ('DISPLAY', 'WAYLAND')
+    environment = {name: os.environ[name] for name in os.environ if not name.startswith(screens)}
     process = start_node('viewer', f'port:={port}', env=environment)
     process.wait_for('ready')
     return process
-
-
-def entities(client: ViewerClient) -> set[str]:
-    if not client.get_state().recordings:
-        return set()
-    return {entity.entity_path for entity in client.get_recording_schema().entities}
 
 
 @pytest.mark.slow
@@ -70,7 +62,11 @@ def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(r
     kept = {'/twin/recommendation', '/twin/throw_result', '/twin/phase', '/twin/position'}
     with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
         client = ViewerClient.connect(url_of(viewer.port))
-        ros.spin_until(lambda: kept <= entities(client), 'earlier messages')
+        ros.spin_until(lambda: client.get_state().recordings, 'the recording')
+        ros.spin_until(
+            lambda: kept <= {e.entity_path for e in client.get_recording_schema().entities},
+            'earlier messages',
+        )
         ros.spin_until(lambda: len(client.get_state().views) >= 10, 'the layout')
         os.killpg(viewer.pid, signal.SIGSTOP)
         throw(ros, twin, 1)
