@@ -36,7 +36,6 @@ import yaml
 ROOT = Path(__file__).parents[1]
 FILES = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
 MODEL = (ROOT / 'urdf/soft_throw.urdf').read_text()
-TOPICS = {resolve(topic.name, '/twin'): topic for topic in TWIN_TOPICS}
 
 pytestmark = pytest.mark.usefixtures('stand_ins')
 
@@ -95,6 +94,10 @@ def defaults(name):
     return {action.name: action.kwargs['default_value'] for action in declared}
 
 
+def parsed(model):
+    return URDF.from_xml_string(model.encode())
+
+
 def nodes(**arguments):
     """Return the nodes of twin.launch.py by executable."""
     values = defaults('twin.launch.py')
@@ -134,16 +137,13 @@ def test_twin_starts_alone_or_with_all_that_is_true_with_a_capital_letter(is_set
             assert {'true', 'True', 'false', 'False'} <= set(action.kwargs['choices'])
 
 
-FIRST = {'folder': 'bags', 'name': 'first'}
-
-
 @pytest.mark.parametrize(
     ('arguments', 'node', 'expected'),
     [
         ({'record': 'true'}, 'recorder', {}),
         ({'record': 'true', 'folder': 'bags'}, 'recorder', {'folder': 'bags'}),
-        ({'output': 'bags/first', 'folder': 'other'}, 'recorder', FIRST),  # as rosbag2
-        ({'uri': 'bags/first', 'folder': 'other'}, 'recorder', FIRST),
+        ({'output': 'a/b', 'folder': 'c'}, 'recorder', {'folder': 'a', 'name': 'b'}),  # as rosbag2
+        ({'uri': 'a/b', 'folder': 'c'}, 'recorder', {'folder': 'a', 'name': 'b'}),
         ({'rerun': 'file'}, 'viewer', {'sink': 'file', 'file': 'live.rrd'}),
         ({'rerun': 'file', 'folder': 'a'}, 'viewer', {'sink': 'file', 'file': 'a/live.rrd'}),
         ({'rerun': 'viewer', 'output': 'a/b'}, 'viewer', {'sink': 'viewer', 'file': 'a/b.rrd'}),
@@ -171,8 +171,7 @@ def test_rviz_shows_the_rig_of_the_namespace_in_its_sizes(write, argument, names
     assert 'rviz_default_plugins/RobotModel' in {display['Class'] for display in displays}
     publisher = started['robot_state_publisher']
     assert publisher['remappings'] == [('joint_states', 'twin/layer/joint_states')]
-    text = publisher['parameters'][0]['robot_description'].args[0]
-    robot = URDF.from_xml_string(text.encode())
+    robot = parsed(publisher['parameters'][0]['robot_description'].args[0])
     assert fixed_frame == robot.get_root() == f'{prefix}rig'
     assert robot.link_map[f'{prefix}layer_00'].visual.geometry.radius == 0.01
 
@@ -208,7 +207,7 @@ def test_failure_of_the_recorder_ends_the_launch():
 
 def test_joints_of_the_model_agree_with_the_twin_and_it_can_be_the_value_of_a_parameter():
     assert ' '.join(yaml.safe_load(MODEL).split()) == ' '.join(MODEL.split())
-    robot = URDF.from_xml_string(MODEL.encode())
+    robot = parsed(MODEL)
     assert robot.get_root() == FRAME
     names = tuple(joint.name for joint in robot.joints)
     assert names[:2] == JOINTS
@@ -231,9 +230,8 @@ def test_joints_of_the_model_agree_with_the_twin_and_it_can_be_the_value_of_a_pa
 def test_sizes_of_the_model_are_those_of_the_parameters(write, request_, thickness):
     settings = TWIN.defaults()
     settings |= TWIN.change(settings, request_)
-    text = urdf_of_file(MODEL, write(files.render(settings)), node='/twin')
-    sized, robot = (URDF.from_xml_string(model.encode()) for model in (text, MODEL))
-    assert [joint.name for joint in sized.joints] == [joint.name for joint in robot.joints]
+    sized = parsed(urdf_of_file(MODEL, write(files.render(settings)), node='/twin'))
+    assert [joint.name for joint in sized.joints] == [joint.name for joint in parsed(MODEL).joints]
     visuals = {link.name: link.visual for link in sized.links if link.visual is not None}
     diameter = settings['layer.diameter']
     plate, projectile = visuals['plate'], visuals['projectile']
@@ -255,7 +253,8 @@ def test_sizes_of_the_model_are_those_of_the_parameters(write, request_, thickne
 
 def test_layouts_plot_numbers_of_topics_of_the_twin(result_keys):
     names = set()
-    for name, topic in TOPICS.items():
+    for topic in TWIN_TOPICS:
+        name = resolve(topic.name, '/twin')
         for (number, joint), quantity in itertools.product(
             enumerate(topic.joints), topic.quantities
         ):
@@ -278,11 +277,8 @@ def test_layouts_plot_numbers_of_topics_of_the_twin(result_keys):
 def test_diagnostics_are_grouped_in_every_namespace_by_the_kind_of_node(node, task):
     file = ROOT / 'config/diagnostic_aggregator.yaml'
     (parameters,) = yaml.safe_load(file.read_text()).values()
-    groups = {
-        key: value['regex'][0]
-        for key, value in parameters['ros__parameters'].items()
-        if isinstance(value, dict)
-    }
+    values = parameters['ros__parameters'].items()
+    groups = {key: value['regex'][0] for key, value in values if isinstance(value, dict)}
     for name in (f'/{node}', '/rig1/renamed', '/hall/rig1/t'):
         status = f'{name}: {task}'
         assert [key for key, regex in groups.items() if re.fullmatch(regex, status)] == [node]

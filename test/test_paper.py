@@ -53,15 +53,6 @@ def test_best_ratios_are_exact(
     assert best.energy_transfer == pytest.approx(energy_transfer, rel=1e-9)
 
 
-@pytest.mark.parametrize(('x', 'c'), [(0.1, 0.19), (0.5, 0.88), (0.99, 1.33)])
-def test_slow_waves_release_after_a_period_of_the_plate(x, c):
-    # The caption of Fig. 3 in docs/paper.md
-    below, above = first_releases(
-        mass_ratio=(1.0 - x) / x, speed_ratio=np.array([c, c + 0.01]) / x
-    ).ejection_phase
-    assert above < 1.0 < below
-
-
 def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
     # Fig. 5: a jump from 3 t_s at x = 1, between C = 7.919 and 7.921
     below, above = (
