@@ -16,7 +16,6 @@ from soft_throw_ros.nodes.transport import use_transport_profile
 pytestmark = pytest.mark.timeout(300)
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-REACH = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 TRANSPORTS = (
     'FASTDDS_BUILTIN_TRANSPORTS',
     'FASTDDS_DEFAULT_PROFILES_FILE',
@@ -114,13 +113,13 @@ def hosts(pid: int, domain_id: int) -> set[str]:
 def test_node_ends_in_the_documented_order_although_threads_die_and_the_middleware_hangs(
     start, domain_id, state, number, reach, host
 ) -> None:
-    environment = {name: value for name, value in os.environ.items() if name not in TRANSPORTS}
-    node = start(sys.executable, '-c', NODE, state, env=environment | {REACH: reach})
+    environment = {name: os.environ[name] for name in os.environ if name not in TRANSPORTS}
+    environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] = reach
+    node = start(sys.executable, '-c', NODE, state, env=environment)
     node.wait_for('started')
     if number:  # 239.255.0.1 is the group for discovery
         assert {host} <= hosts(node.process.pid, domain_id) <= {host, '0100FFEF'}
-    code = node.end(number) if number else node.wait()
-    assert code == (state == 'dying')
+    assert (node.end(number) if number else node.wait()) == (state == 'dying')
     ends = [line for line in node.lines if line in ('close', 'first', 'second')]
     assert ends == ['close', 'second', 'first']
     assert sum(f'discovery range {reach or "SUBNET"}' in line for line in node.lines) == 1
@@ -147,7 +146,6 @@ def test_transport_of_the_user_is_not_changed(monkeypatch, chosen) -> None:
         (twin, '-p use_sim_time:=maybe', 'maybe'),
         (twin, '-p layer.thickness:=nan', '-p layer.thickness:=nan: .* got nan'),
         (twin, '-p layer.thicknes:=0.01', "no parameter of the twin is named 'layer.thicknes'"),
-        (twin, '-p recommended.thickness:=0.01', 'set by the twin'),
         (twin, '-p engine.command:=true', "engine.command .* got 'underdamped'"),
         (calibrator, '-p throws:=0', 'got 0'),
         (rig, '-p layer.thickness:=0.1 -p layer.wave_speed:=1. -p engine.frequency:=1e3', '1000'),
@@ -157,7 +155,6 @@ def test_transport_of_the_user_is_not_changed(monkeypatch, chosen) -> None:
         (recorder, '-p folder:={folder} -p name:=there', "there exists, .* got name 'there'"),
         (viewer, '-p sink:=file', 'file is empty'),
         (viewer, '-p sink:=file -p file:=/nowhere/a.rrd', '/nowhere'),
-        (viewer, '-p sink:=printer', "got 'printer'"),
     ],
 )
 def test_refused_argument_is_one_line_and_exit_code_2(

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `viewer` as a process, with Rerun viewers that come late and hang."""
 
+from functools import partial
 import os
 from pathlib import Path
 import signal
@@ -32,9 +33,8 @@ def throw(ros: Any, twin: Any, count: int) -> None:
     topics = [topic.at('/twin') for topic in TWIN_TOPICS]
     drawn = {topic.name for topic in topics if is_drawn(topic.name, topic.type)} - {'/diagnostics'}
     publishers = [item for item in twin.publishers if item.topic_name in drawn]
-    ros.spin_until(
-        lambda: all(item.get_subscription_count() >= count for item in publishers), 'the viewer'
-    )
+    counts = [item.get_subscription_count for item in publishers]
+    ros.spin_until(lambda: min(count_of() for count_of in counts) >= count, 'the viewer')
     twin.go(250)
     assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
 
@@ -86,12 +86,9 @@ def test_file_beside_a_bag_has_every_message_that_came_before_the_end(ros, recor
     throw(ros, ros.start_twin(throw__period=0.2), 2)  # to recorder and viewer
     listener = ros.listen_to('/viewer')
     listener.listen(VIEWER_DIAGNOSTICS)
-
-    def reports() -> list[Any]:
-        return listener.statuses(VIEWER_DIAGNOSTICS, 'display')
-
-    ros.spin_until(lambda: len(reports()) >= 2, 'two reports, between which all messages arrive')
-    assert msg_to_values(reports()[-1]) == {'lost': 0, 'damaged': 0}
+    report = partial(listener.statuses, VIEWER_DIAGNOSTICS, 'display')
+    ros.spin_until(lambda: len(report()) >= 2, 'two reports, between which all messages arrive')
+    assert msg_to_values(report()[-1]) == {'lost': 0, 'damaged': 0}
     recorder.end_well()
     assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
 
