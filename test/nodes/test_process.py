@@ -11,7 +11,6 @@ import threading
 
 import pytest
 from soft_throw_ros.nodes import calibrator, process, recorder, rig, twin, viewer
-from soft_throw_ros.nodes.transport import use_transport_profile
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -131,7 +130,7 @@ def test_node_ends_in_the_documented_order_although_threads_die_and_the_middlewa
 @pytest.mark.parametrize('chosen', TRANSPORTS)
 def test_transport_of_the_user_is_not_changed(monkeypatch, chosen) -> None:
     monkeypatch.setattr(os, 'environ', {chosen: 'theirs'})
-    use_transport_profile()
+    process.use_transport_profile()
     assert os.environ == {chosen: 'theirs'}
 
 

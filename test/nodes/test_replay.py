@@ -97,7 +97,7 @@ def test_bag_is_played_byte_by_byte_and_paused_beside_a_clock_of_its_time(
         topic: [item.data for item in made if item.channel.topic == topic in topics]
         for topic in heard
     }
-    ros.spin_until(lambda: list(map(len, heard.values())) == list(map(len, sent.values())))
+    ros.spin_until(lambda: all(len(heard[it]) == len(sent[it]) for it in sent), 'all messages')
     ros.spin_until(lambda: len(late) == 3, 'receipt of latched messages')
     assert (heard, late) == (sent, sent['/slow'][-3:])
     stamps = [msg_to_time(message.clock) for message in clocks]
