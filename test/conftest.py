@@ -72,9 +72,7 @@ class Command:
     """A command named by `COMMAND` of the test module: its main function and leading words."""
 
     def __init__(self, main, *words, capsys):
-        self._main = main
-        self._words = words
-        self._capsys = capsys
+        self._main, self._words, self._capsys = main, words, capsys
         self.err = ''
 
     def run(self, *args, code=0):
@@ -93,9 +91,7 @@ class Command:
             self._main([*self._words, *map(str, args)])
         assert end.value.code == 2
         out, err = self._capsys.readouterr()
-        assert out == ''
-        assert 'Traceback' not in err
-        assert 'usage: ' not in err
+        assert (out, 'Traceback' in err, 'usage: ' in err) == ('', False, False)
         (line,) = [line for line in err.splitlines() if ': error: ' in line]
         return line.partition('error: ')[2]
 

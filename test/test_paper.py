@@ -20,11 +20,10 @@ from soft_throw_ros.core.wave_stepper import WaveStepper
 
 pytest.importorskip('matplotlib', reason='the extra [plot]')
 
-
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
 import comparison  # noqa: E402, I100
-from models import best_ratios, SERIES, thick_layer  # noqa: E402
+from models import best_ratios, SERIES  # noqa: E402
 
 
 def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
@@ -40,7 +39,6 @@ def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
 @pytest.mark.parametrize(
     ('damping_ratio', 'mass_ratio', 'speed_ratio', 'ejection_phase', 'energy_transfer'),
     [
-        (0.0, 0.23423068535205, 8.2422098072057, 0.3994399384513045, 4.123214640552163),
         (0.064, 0.25539654358484, 8.57592091835, 0.3866752089467103, 4.1428974402270375),
         (0.2, 0.29513187784084, 9.2434758430532, 0.3633656659293691, 4.185169858004478),
     ],
@@ -53,24 +51,6 @@ def test_best_ratios_are_exact(
     assert best.speed_ratio == pytest.approx(speed_ratio, rel=1e-4)
     assert best.ejection_phase == pytest.approx(ejection_phase, rel=1e-4)
     assert best.energy_transfer == pytest.approx(energy_transfer, rel=1e-9)
-
-
-@pytest.mark.parametrize(('x', 'c'), [(0.1, 0.19), (0.5, 0.88), (0.99, 1.33)])
-def test_slow_waves_release_after_a_period_of_the_plate(x, c):
-    # The caption of Fig. 3 in docs/paper.md
-    below, above = first_releases(
-        mass_ratio=(1.0 - x) / x, speed_ratio=np.array([c, c + 0.01]) / x
-    ).ejection_phase
-    assert above < 1.0 < below
-
-
-@pytest.mark.parametrize('omega_tau', [0.02, 0.05, 0.1])
-def test_limit_of_a_light_projectile_is_that_of_appendix_c_corrected(omega_tau):
-    angle, energy_transfer = thick_layer(omega_tau)
-    delay = math.atan(omega_tau) - math.exp(-1.0 - math.pi / (2.0 * omega_tau))
-    assert angle == pytest.approx(0.5 * math.pi + delay, abs=1e-9)
-    assert energy_transfer == pytest.approx(4.0 * math.cos(delay) ** 2, abs=1e-9)
-    assert energy_transfer == pytest.approx(4.0 / (1.0 + omega_tau**2), abs=1e-7)
 
 
 def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
@@ -86,14 +66,14 @@ def test_without_a_layer_the_plate_throws_alone():
     # Fig. 5: t_e f = 0.25, alpha = 1. Stiff layers approach these values after hundreds of
     # re-contacts; their number depends on the step size
     errors = []
+    engine = Engine(damping_ratio=0.0)
     for wave_speed in (20.0, 80.0, 320.0):
-        layer = Layer(thickness=2e-3, wave_speed=wave_speed)
-        rig = Rig(engine=Engine(damping_ratio=0.0), layer=layer, gravity=0.0)
+        rig = Rig(engine=engine, layer=Layer(thickness=2e-3, wave_speed=wave_speed), gravity=0.0)
         stepper = WaveStepper(rig, field_points=2)
-        stepper.advance_to(5.0 / rig.engine.frequency)
+        stepper.advance_to(5.0 / engine.frequency)
         last = stepper.events()[-1]
-        alpha = (last.velocity / rig.engine.speed_scale) ** 2
-        errors.append((abs(last.time * rig.engine.frequency - 0.25), abs(alpha - 1.0)))
+        alpha = (last.velocity / engine.speed_scale) ** 2
+        errors.append((abs(last.time * engine.frequency - 0.25), abs(alpha - 1.0)))
     assert sorted(errors, reverse=True) == errors
     assert max(errors[-1]) < 0.015
 
@@ -109,8 +89,6 @@ def test_contact_strain_rises_through_zero_at_the_release():
 
 # Numbers of the table in docs/paper.md, from computations with 40 digits, and their tolerances
 TABLE = {
-    'best x = L_s/(L_s + L_r)': (0.81022, 1e-4),
-    'best C = c_s/(L_s + L_r)f': (6.6780, 2e-4),
     'largest alpha': (4.123214640552163, 1e-9),
     'its t_e/t_s': (0.3994399384513 * 8.2422098072, 1e-4),
     'its m/(rho_s S L_s)': (0.23423068535205, 1e-5),
@@ -119,7 +97,6 @@ TABLE = {
     'ridge for small x: C/sqrt(x)': (2.0 * math.pi * 1.619874, 2e-3),
     'alpha on it': (3.127442, 1e-4),
     'best f0/f of a massless spring': (1.619874, 1e-6),
-    'its alpha': (3.127442, 1e-6),
     'period of a free layer, T_0 c_s/L_s': (2.0, 1e-5),
     '(4 - alpha)/(omega tau)^2 for small omega tau': (4.0, 1e-3),
     'factor of e^(-pi/(2 omega tau)) in omega (t_e - t_s)': (-math.exp(-1.0), 1e-3),

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions and measured plates to test the twin with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 import itertools
 import math
@@ -26,9 +24,6 @@ from soft_throw_ros.twin.session import Session, TickSchedule
 BEGIN = 1_700_000_000 * SECOND
 TRANSPORT = 150_000  # of a sample [ns]
 
-PLATE_ZERO, PROJECTILE_ZERO = 0.3, -0.2
-"""Readings of the sensors at height 0. [m]"""
-
 
 class Sample(NamedTuple):
     """Heights measured at one time, NaN if not measured [m]."""
@@ -45,11 +40,7 @@ def samples_of(samples: Sequence[Sample]) -> Samples:
 
 
 class Run:
-    """
-    A session from step 0 at `begin_ns`, its journal, and all that came out.
-
-    `request` are settings other than the defaults, `__` for the dot.
-    """
+    """A session from step 0 at `begin_ns` with settings (`a__b` is a.b), and its outputs."""
 
     begin_ns = BEGIN
     clock_offset_ns = 0
@@ -60,7 +51,7 @@ class Run:
         self.outputs: list[Outputs] = []
         self.settings = complete_settings(**request)
         self.rig = rig_of(self.settings)
-        self.session = Session(prepare(self.settings), on_entry=self.on_entry)
+        self.session = Session(prepare(self.settings), on_entry=self.journal.append)
         self.schedule = TickSchedule(step=0, time_ns=BEGIN, rate=self.session.rate)
         self.session.set_tick_schedule(self.schedule)
         self._waiting: list[tuple[int, Sample]] = []
@@ -71,19 +62,11 @@ class Run:
         for _ in range(steps):
             self.now = self.schedule.deadline(self.session.step)
             count = sum(arrival <= self.now for arrival, _ in self._waiting)
-            self.on_samples([sample for _, sample in self._waiting[:count]])
+            samples = samples_of([sample for _, sample in self._waiting[:count]])
             del self._waiting[:count]
-            self.on_step(self.session.advance())
+            self.session.measure(samples, clock_offset_ns=self.clock_offset_ns)
+            self.outputs.append(self.session.advance())
         return self.outputs[first:]
-
-    def on_entry(self, line: str) -> None:
-        self.journal.append(line)
-
-    def on_samples(self, samples: Sequence[Sample]) -> None:
-        self.session.measure(samples_of(samples), clock_offset_ns=self.clock_offset_ns)
-
-    def on_step(self, outputs: Outputs) -> None:
-        self.outputs.append(outputs)
 
     def go_until(self, phase: Phase, limit: int = 20_000) -> Outputs:
         """Advance to the step that enters a phase."""
@@ -105,10 +88,7 @@ class Run:
             self.go(1)
 
     def measure(
-        self,
-        rig: Rig | None = None,
-        change: Callable[[list[Sample]], Iterable[Sample]] = list,
-        **kwargs: Any,
+        self, rig: Rig | None = None, change: Callable[..., Iterable[Sample]] = list, **kwargs: Any
     ) -> None:
         """Measure a throw of a rig of its own by changed samples, and go on to their end."""
         kwargs.setdefault('begin_ns', self.schedule.deadline(self.session.step))
@@ -116,7 +96,7 @@ class Run:
         self.receive()
 
     def results(self, stage: str) -> list[ThrowResult]:
-        results = itertools.chain.from_iterable(outputs.results for outputs in self.outputs)
+        results = (result for outputs in self.outputs for result in outputs.results)
         return [result for result in results if result.stage == stage]
 
     def events(self) -> list[Event]:
@@ -178,20 +158,13 @@ def make_samples(
     stamps = BEGIN + INTERVAL * np.arange(count)
     heights = 0.3 + PLATE.position((stamps - BEGIN) / SECOND - onset)
     heights += noise * random.standard_normal(count)
-    return [
-        Sample(stamp, height, 0.5)
-        for stamp, height in zip(stamps.tolist(), heights.tolist(), strict=True)
-    ]
+    return list(map(Sample, stamps.tolist(), heights.tolist(), itertools.repeat(0.5)))
 
 
 def complete_settings(**request: Any) -> dict[str, Any]:
-    """Return complete settings."""
-    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), named(request))}
-
-
-def named(request: dict[str, Any]) -> dict[str, Any]:
-    """Return settings under their names, with dots."""
-    return {name.replace('__', '.'): value for name, value in request.items()}
+    """Return complete settings, `a__b` for a.b."""
+    change = {name.replace('__', '.'): value for name, value in request.items()}
+    return {**TWIN.defaults(), **TWIN.change(TWIN.defaults(), change)}
 
 
 def same(ours: Outputs, theirs: Outputs) -> bool:
@@ -217,15 +190,8 @@ def states_at(rig: Rig, times: Iterable[float]) -> NDArray[np.float64]:
 
 
 def measured_throw(
-    rig: Rig,
-    *,
-    begin_ns: int,
-    onset: float = 0.05,
-    duration: float = 0.12,
-    rate: float = 5000.0,
-    noise: float = 0.0,
-    jitter: float = 0.0,
-    seed: int = 0,
+    rig: Rig, *, begin_ns: int, onset: float = 0.05, duration: float = 0.12, rate: float = 5000.0,
+    noise: float = 0.0, jitter: float = 0.0, seed: int = 0,
 ) -> list[Sample]:
     """Return the samples of a throw that starts at `onset` [s]; `jitter` is in intervals."""
     random = np.random.default_rng(seed)
@@ -234,9 +200,6 @@ def measured_throw(
     stamps = begin_ns + np.round(since * SECOND).astype(np.int64)
     states = states_at(rig, ((stamps - begin_ns) / SECOND - onset).tolist())
     rows = states[:, [PLATE_POSITION, PROJECTILE_POSITION]]
-    rows += [PLATE_ZERO, PROJECTILE_ZERO]
+    rows += [0.3, -0.2]  # readings at height 0 [m]
     rows += noise * random.standard_normal(rows.shape)
-    return [
-        Sample(stamp, plate, projectile)
-        for stamp, (plate, projectile) in zip(stamps.tolist(), rows.tolist(), strict=True)
-    ]
+    return list(map(Sample, stamps.tolist(), *rows.T.tolist()))

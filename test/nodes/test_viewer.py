@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `viewer` as a process, with Rerun viewers that come late and hang."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from functools import partial
 import os
 from pathlib import Path
 import signal
@@ -28,101 +26,75 @@ from soft_throw_ros.recording.rerun_view import is_drawn  # noqa: E402
 
 pytestmark = pytest.mark.timeout(180)
 
-DRAWN = [topic for topic in TWIN_TOPICS if is_drawn(topic.at('/twin').name, topic.type)]
+
+def throw(ros: Any, twin: Any, count: int) -> None:
+    """Throw for a quarter of a second, for a number of subscribers that have all of it."""
+    topics = [topic.at('/twin') for topic in TWIN_TOPICS]
+    drawn = {topic.name for topic in topics if is_drawn(topic.name, topic.type)} - {'/diagnostics'}
+    publishers = [item for item in twin.publishers if item.topic_name in drawn]
+    counts = [item.get_subscription_count for item in publishers]
+    ros.spin_until(lambda: min(count_of() for count_of in counts) >= count, 'the viewer')
+    twin.go(250)
+    assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
 
 
-@pytest.fixture
-def throw(ros: Any) -> Callable[[], None]:
-    """Return a function that throws for a quarter of a second, for a viewer that has all of it."""
-    twin = ros.start_twin(throw__period=0.2)
-    names = {topic.at('/twin').name for topic in DRAWN if not topic.is_input}
-    publishers = [item for item in twin.publishers if item.topic_name in names]
-
-    def throw() -> None:
-        ros.spin_until(
-            lambda: all(item.get_subscription_count() > 0 for item in publishers), 'the viewer'
-        )
-        twin.go(250)
-        assert all(item.wait_for_all_acked(Duration(seconds=60.0)) for item in publishers)
-
-    return throw
-
-
-@pytest.fixture
-def show(start_node: Any) -> Callable[..., Any]:
+def show(start_node: Any, port: int) -> Any:
     """Start the node without a screen, and wait until it is ready."""
-
-    def show(*rules: str) -> Any:
-        hidden = ('DISPLAY', 'WAYLAND_DISPLAY', 'WAYLAND_SOCKET')
-        environment = {name: value for name, value in os.environ.items() if name not in hidden}
-        process = start_node('viewer', *rules, env=environment)
-        process.wait_for('ready')
-        return process
-
-    return show
-
-
-def entities(viewer: Any) -> set[str]:
-    client = ViewerClient.connect(url_of(viewer.port))
-    if not client.get_state().recordings:
-        return set()
-    return {entity.entity_path for entity in client.get_recording_schema().entities}
+    screens = ('DISPLAY', 'WAYLAND')
+    environment = {name: os.environ[name] for name in os.environ if not name.startswith(screens)}
+    process = start_node('viewer', f'port:={port}', env=environment)
+    process.wait_for('ready')
+    return process
 
 
 @pytest.mark.slow
-def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(
-    ros, show, throw
-) -> None:
+def test_late_viewer_on_this_machine_gets_all_and_a_stopped_one_delays_nothing(ros, start_node):
     port = free_port()
-    node = show(f'port:={port}')  # without a screen it serves
+    node = show(start_node, port)  # without a screen it serves
     node.wait_for(url_of(port))
     listening = Path('/proc/net/tcp').read_text(encoding='ascii')
     assert f' 0100007F:{port:04X} ' in listening
     assert f' 00000000:{port:04X} ' not in listening + Path('/proc/net/tcp6').read_text()
-    throw()
+    twin = ros.start_twin(throw__period=0.2)
+    throw(ros, twin, 1)
     # published once, at the very beginning
     kept = {'/twin/recommendation', '/twin/throw_result', '/twin/phase', '/twin/position'}
     with viewer_at(free_port(), '--connect', url_of(port)) as viewer:
-        ros.spin_until(lambda: kept <= entities(viewer), 'earlier messages')
         client = ViewerClient.connect(url_of(viewer.port))
+        ros.spin_until(lambda: client.get_state().recordings, 'the recording')
+        ros.spin_until(
+            lambda: kept <= {e.entity_path for e in client.get_recording_schema().entities},
+            'earlier messages',
+        )
         ros.spin_until(lambda: len(client.get_state().views) >= 10, 'the layout')
         os.killpg(viewer.pid, signal.SIGSTOP)
-        throw()
+        throw(ros, twin, 1)
         node.end_well(signal.SIGTERM)
 
 
-def test_node_without_a_viewer_ends_well(show) -> None:
+def test_node_without_a_viewer_ends_well(start_node):
     with socket.create_server(('127.0.0.1', 0)) as other:  # a viewer of something else
-        node = show(f'port:={other.getsockname()[1]}')
+        node = show(start_node, other.getsockname()[1])
         node.end_well()
     assert node.lines[-1].endswith('messages, 0 not shown')
 
 
 @pytest.mark.slow
-def test_file_beside_a_bag_has_every_message_that_came_before_the_end(
-    ros, record, tmp_path
-) -> None:
+def test_file_beside_a_bag_has_every_message_that_came_before_the_end(ros, record, tmp_path):
     recorder = record('bag', 'topics:=[twin]', 'rerun.sink:=file')
-    twin = ros.start_twin(throw__period=0.2)
-    states = next(p for p in twin.publishers if p.topic_name == '/twin/joint_states')
-    ros.spin_until(lambda: states.get_subscription_count() == 2, 'recorder and viewer')
-    twin.go(250)
+    throw(ros, ros.start_twin(throw__period=0.2), 2)  # to recorder and viewer
     listener = ros.listen_to('/viewer')
     listener.listen(VIEWER_DIAGNOSTICS)
-
-    def reports() -> list[Any]:
-        return listener.statuses(VIEWER_DIAGNOSTICS, 'display')
-
-    ros.spin_until(lambda: len(reports()) >= 2, 'two reports, between which all messages arrive')
-    assert msg_to_values(reports()[-1]) == {'lost': 0, 'damaged': 0}
+    report = partial(listener.statuses, VIEWER_DIAGNOSTICS, 'display')
+    ros.spin_until(lambda: len(report()) >= 2, 'two reports, between which all messages arrive')
+    assert msg_to_values(report()[-1]) == {'lost': 0, 'damaged': 0}
     recorder.end_well()
     assert RrdFile(tmp_path / 'bag.rrd').rows['/twin/position'] == 250
 
 
-def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch) -> None:
+def test_without_rerun_the_node_names_the_command_that_installs_it(ros, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rerun', None)
-    for name in [name for name in sys.modules if name.startswith('soft_throw_ros.recording.')]:
-        if name.rpartition('.')[2] in ('rerun_view', 'rerun_layout'):
-            monkeypatch.delitem(sys.modules, name)
+    for name in ('rerun_view', 'rerun_layout'):
+        monkeypatch.delitem(sys.modules, f'soft_throw_ros.recording.{name}', raising=False)
     with pytest.raises(ParameterError, match=r'soft_throw_ros\[rerun\]'):
         ros.node(Viewer)

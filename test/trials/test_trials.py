@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A few trials, and the table of their verdicts."""
+"""A few trials with the table of their verdicts, and the tables of the bench."""
 
 import json
 import math
 
+from bench import tables
 import numpy as np
 import pytest
 from trials.__main__ import main
@@ -38,7 +39,7 @@ def test_large_deviations_without_a_warning_are_counted_as_silently_wrong():
     ]
     verdicts = [Verdict(row='clean', number=0, results=item, seconds=0.1) for item in results]
     assert [verdict.is_silently_wrong for verdict in verdicts] == [False, False, True]
-    cells = [cell.strip() for cell in table_line('clean', verdicts).strip('|').split('|')]
+    cells = map(str.strip, table_line('clean', verdicts).strip('|').split('|'))
     counted = dict(zip(HEADS, cells, strict=True))
     assert [counted[name] for name in ('rigs', 'silently wrong', 'c_s')] == ['3', '1', '67 %']
     assert '1 of 3' in summary(verdicts, ['clean'])
@@ -54,10 +55,29 @@ def test_command_identifies_a_clean_throw(capsys, tmp_path):
         assert Deviation(*clean['results'][name]).errors < 4.0
 
 
-@pytest.mark.parametrize(
-    ('args', 'value'), [(['--rows', 'nothing'], 'nothing'), (['--rigs', '0'], '0')]
-)
-def test_command_refuses_impossible_arguments(capsys, args, value):
+@pytest.mark.parametrize(('option', 'value'), [('--rows', 'nothing'), ('--rigs', '0')])
+def test_command_refuses_impossible_arguments(capsys, option, value):
     with pytest.raises(SystemExit):
-        main(args)
+        main([option, value])
     assert value in capsys.readouterr().err
+
+
+def test_cases_are_compared_with_the_first_and_list_their_error(monkeypatch):
+    monkeypatch.setattr(tables, 'TURNS', 1)
+    cases = [
+        tables.Case('one', lambda: 1.0),
+        tables.Case('two', lambda: sum(range(1000)), 2.0, lambda result: result - 499500.0),
+    ]
+    first, second = (result := tables.measure('sums', 'the sum', cases)).rows
+    assert (first[1], first[3], second[1]) == (None, 1.0, 0.0)
+    assert result.ratios == {'two': second[3]}
+    assert len(result.lines()) == 5
+
+
+def test_ratios_that_change_by_more_than_30_percent_are_listed(tmp_path):
+    path = tmp_path / 'ratios.json'
+    tables.store({'sums': {'steady': 2.0, 'slow': 2.0, 'gone': 1.0}, 'maps': {'one': 5.0}}, path)
+    tables.store({'maps': {'one': 6.0}}, path)
+    assert tables.deviations({'maps': {'one': 6.0}}, path) == []
+    lines = tables.deviations({'sums': {'steady': 1.6, 'slow': 2.7, 'new': 1.0}}, path)
+    assert [line.partition(':')[0] for line in lines] == ['sums, gone', 'sums, new', 'sums, slow']
