@@ -41,7 +41,7 @@ if __name__ == '__main__':
     with LocalCluster(
         n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None
     ) as cluster:
-        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
+        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '-p', 'layer.loss_tangent:=0.05', '--output']
         assert main([*words, 'here.nc']) == 0
         assert main([*words, 'there.nc', '--dask', cluster.scheduler_address]) == 0
     assert filecmp.cmp('here.nc', 'there.nc', shallow=False)

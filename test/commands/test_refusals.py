@@ -52,7 +52,6 @@ REFUSALS = [
     ('design map x=0.1:0.9:1 C', "AXIS must .* got 'x=0.1:0.9:1'"),
     ('design map x=0.1:1 C', r'x must .* got 1\.0'),
     ('design map engine.damping_ratio=0:0.3:9:log mu', 'AXIS must .* LOW above 0 '),
-    ('design map --release second', "argument --release: .*'second'"),
     ('design map --output no_such/map.nc', 'no_such/map.nc: folder no_such not found'),
     ('identify none.csv', 'none.csv: No such file or directory'),
     ('identify throw.avi', 'throw.avi: is a video; first convert it to tracks'),
