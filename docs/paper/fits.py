@@ -11,7 +11,7 @@ from models import DAMPING_RATIO, THICKNESSES
 import numpy as np
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer
-from soft_throw_ros.design.uncertainty import Uncertainties
+from soft_throw_ros.design.prediction import Uncertainties
 from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED

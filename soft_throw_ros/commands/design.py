@@ -23,9 +23,8 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.landscape import AXES, compute_landscape, Landscape, RESULTS
 from soft_throw_ros.design.motion import MotionDesign, PlateLimits
-from soft_throw_ros.design.prediction import predict
-from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import predict, prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.recommendation import RequestResult, solve_request
 import yaml
 
 Floats = NDArray[np.float64]

@@ -126,18 +126,18 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """Write NetCDF 3, which xarray and MATLAB read."""
-        axes = {name.replace('.', '_'): values for name, values in self.axes.items()}
-        labels = {**{name.replace('.', '_'): AXES[name] for name in self.axes}, **RESULTS}
+        names = [name.replace('.', '_') for name in self.axes]
+        labels = [*(AXES[name] for name in self.axes), *RESULTS.values()]
+        arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
         with netcdf_file(path, 'w', mmap=False, version=2) as data:
             data.source = f'soft_throw_ros {soft_throw_ros.__version__}'
             for name, value in rig_values(self.rig).items():
                 setattr(data, name.replace('.', '_'), value)
-            for name, values in axes.items():
+            for name, values in zip(names, arrays, strict=False):
                 data.createDimension(name, values.size)
-            for name, label in labels.items():
-                along = [name] if name in axes else [*axes]
-                variable = data.createVariable(name, 'f8', along)
-                variable[:] = axes[name] if name in axes else getattr(self, name)
+            for name, label, values in zip([*names, *RESULTS], labels, arrays, strict=True):
+                variable = data.createVariable(name, 'f8', [name] if values.ndim == 1 else names)
+                variable[:] = values
                 variable.long_name, variable.units = label.meaning, label.unit or '1'
 
 
@@ -186,9 +186,8 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike]) -> dict[str, Floats]:
     """Return the values of two axes of a rig, or refuse them."""
     if len(axes) != 2:
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
-    for name in axes:
-        if name not in AXES:
-            raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
+    if unknown := [name for name in axes if name not in AXES]:
+        raise ValueError(f'unknown axis {unknown[0]!r}; choose from {", ".join(AXES)}')
     if {*axes} in ({'x', 'mu'}, {'C', 'kappa'}):
         raise ValueError(f'the axes {" and ".join(axes)} are not independent; choose others')
     if {*axes} & {*_BESIDE_RATIOS[:4]} and not {*axes} <= {*_BESIDE_RATIOS}:

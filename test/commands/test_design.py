@@ -20,9 +20,9 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import aim
 from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.design.motion import PlateLimits
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.score import Limits, robust
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 import yaml
 
 COMMAND = (design.main,)

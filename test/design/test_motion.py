@@ -11,8 +11,8 @@ from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion import design_motion, PlateLimits
+from soft_throw_ros.design.prediction import Uncertainties
 from soft_throw_ros.design.score import Limits
-from soft_throw_ros.design.uncertainty import Uncertainties
 
 ENGINE, TIGHT = PlateLimits.of(Engine()), Limits(max_strain=1e-4)
 KNOWN = [

@@ -10,16 +10,19 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig, STANDARD_GRAVITY
 from soft_throw_ros.core.throw import throw_many
+from soft_throw_ros.design.prediction import stuck_fraction, Uncertainties
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     predict,
     recommend,
+    solve_request,
     TOLERATED_LOSS,
 )
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
-from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
+from twin_runs import complete_settings
 
 MATERIALS = library().materials
 LOSSY = {'dragon': MATERIALS['dragon_skin_10']}
@@ -84,7 +87,8 @@ def assert_as_good_as_brute_force(
     rig, *, size, vary='both', objective=peak, limits=FREE, materials=None
 ):
     """Compare a recommendation with a grid, `size` both ways or 20 times as many on a line."""
-    layers = [(rig.layer, limits.wave_speed if vary == 'both' else (rig.layer.wave_speed,) * 2)]
+    speeds = limits.box.wave_speed if vary == 'both' else (rig.layer.wave_speed,) * 2
+    layers = [(rig.layer, speeds)]
     if vary == 'library':
         layers = [
             (replace(rig.layer, wave_speed=item.wave_speed, density=item.density,
@@ -94,7 +98,7 @@ def assert_as_good_as_brute_force(
     brute = 0.0
     for layer, (low, high) in layers:
         score = Score(replace(rig, layer=layer), objective, limits)
-        thicknesses = np.geomspace(*limits.thickness, size if low < high else 20 * size)
+        thicknesses = np.geomspace(*limits.box.thickness, size if low < high else 20 * size)
         for wave_speed in np.geomspace(low, high, size if low < high else 1):
             brute = max(brute, score(thicknesses, wave_speed).max())
     best = recommend(
@@ -225,3 +229,30 @@ def test_library_gives_no_ideal_material_and_the_present_layer_if_it_has_no_bett
 def test_impossible_recommendation_is_refused_with_a_reason(options, message):
     with pytest.raises(ValueError, match=message):
         recommend(Rig(), **options)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'vary': 'motion', 'objective': 'robust'}, "vary 'motion' .* got 'robust'"),
+        ({'objective': 'aim', 'target_height': 0.0}, 'either a height or a speed'),
+    ],
+)
+def test_impossible_settings_are_refused(changes, message):
+    request = {f'recommendation__{name}': value for name, value in changes.items()}
+    with pytest.raises(ValueError, match=message):
+        solve_request(complete_settings(**request))
+
+
+@pytest.mark.parametrize('name', ['peak', 'robust', 'versatile', 'aim'])
+@pytest.mark.parametrize('batches', [0, 3])
+def test_search_ends_when_cancelled_between_batches(name, batches):
+    calls = []
+
+    def cancelled():
+        calls.append(True)
+        return len(calls) > batches
+
+    with pytest.raises(SearchCancelledError):
+        solve_request(complete_settings(recommendation__objective=name), cancelled=cancelled)
+    assert len(calls) == batches + 1

@@ -25,7 +25,7 @@ from soft_throw_ros.configuration.interface import (
     TWIN_TOPICS,
 )
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes import twin as twin_module
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,

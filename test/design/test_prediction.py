@@ -9,8 +9,12 @@ import pytest
 from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import rig_with, throw_many
-from soft_throw_ros.design.prediction import predict
-from soft_throw_ros.design.uncertainty import COVERAGE, prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import (
+    COVERAGE,
+    predict,
+    prediction_uncertainty,
+    Uncertainties,
+)
 
 NONE = Uncertainties(wave_speed=0.0, thickness=0.0, mass=0.0, frequency=0.0, damping_ratio=0.0)
 NAMES = ('ejection_time', 'ejection_speed', 'energy_transfer')
