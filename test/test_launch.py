@@ -14,7 +14,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration import ParameterError
-from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
+from soft_throw_ros.configuration.node_tables import RECORDER, VIEWER
 from urdf_parser_py.urdf import URDF
 import yaml
 

@@ -8,7 +8,7 @@ options of the commands. This package may import `core` and `storage`.
 
 """
 
-from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.node_tables import RECORDER
 from soft_throw_ros.configuration.table import (
     Entry,
     ParameterError,

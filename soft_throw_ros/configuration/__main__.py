@@ -13,8 +13,7 @@ from pathlib import Path
 
 from soft_throw_ros.configuration.files import render
 from soft_throw_ros.configuration.interface import INTERFACES, Topic, TWIN_TOPICS
-from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
-from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
+from soft_throw_ros.configuration.node_tables import CALIBRATOR, RECORDER, RIG, VIEWER
 from soft_throw_ros.configuration.table import Entry, value_text
 from soft_throw_ros.configuration.twin import TWIN
 
@@ -85,9 +84,7 @@ def _topics_page() -> Iterator[str]:
         known = () if node == 'twin' else {topic.meaning for topic in TWIN_TOPICS}
         shared = [_name_of(topic) for topic in topics if topic.meaning in known]
         rows = [_topic_row(topic) for topic in topics if topic.meaning not in known]
-        effects = [
-            (f'`{item.name}`', item.type.replace('/srv/', '/'), item.meaning) for item in services
-        ]
+        effects = [(f'`{item.name}`', 'std_srvs/Trigger', item.meaning) for item in services]
         content = ('topic', 'type', 'content', 'queue'), rows
         yield from _section(node, shared, content, (('service', 'type', 'effect'), effects))
 

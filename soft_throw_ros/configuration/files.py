@@ -18,6 +18,7 @@ import re
 import textwrap
 from typing import Any, NamedTuple
 
+import numpy as np
 from soft_throw_ros.configuration.table import ParameterError, quote, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
 from soft_throw_ros.configuration.yaml_file import read_yaml
@@ -141,11 +142,7 @@ def render(
 
 def _text(value: Value) -> str:
     """Return a value as a line of YAML; texts are quoted, so that none is read as a number."""
-    items = [
-        float(item) if isinstance(item, float) else item  # without the types of numpy
-        for item in (value if isinstance(value, tuple) else (value,))
-    ]
-    style = None
+    items, style = np.ravel(value).tolist(), None  # without the types of numpy
     if isinstance(items[0], str):  # only double quotes can hold a line end or a control character
         style = "'" if all(str(item).isprintable() for item in items) else '"'
     text = yaml.safe_dump(

@@ -25,12 +25,10 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 NUMBER = 'std_msgs/msg/Float64'
 TEXT = 'std_msgs/msg/String'
 TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
-TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # depth of a queue for bursts: more messages than are ever published at once
-_ONE_SECOND = 5000  # depth for one second of ticks at the highest rate
+_ONE_SECOND = 5000  # depth for one second of ticks or of measurements at the highest rate
 _OF_A_JOURNAL = 1000  # depth for four minutes; later subscribers start at the line of a throw
-_AFTER_A_STALL = 5000  # depth for one second of measurements, which may arrive at once
 
 
 def resolve(name: str, node: str) -> str:
@@ -61,21 +59,15 @@ class Topic:
     axes: tuple[str, ...] = ()  # fields of the points of a cloud
     is_input: bool = False  # whether the node subscribes; otherwise it publishes
 
-    @property
-    def relative_name(self) -> str:
-        """Name relative to the node; an absolute name is unchanged."""
-        return self.name.removeprefix('~/')
-
     def at(self, node: str) -> Topic:
         """Return the same topic of a node with the given name."""
         return replace(self, name=resolve(self.name, node))
 
 
 class Service(NamedTuple):
-    """A service, described like a topic."""
+    """A service of the type `std_srvs/srv/Trigger`, described like a topic."""
 
     name: str
-    type: str  # noqa: A003
     meaning: str
 
 
@@ -142,7 +134,7 @@ class TwinTopics(NamedTuple):
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
         'Positions of the plate and optionally of the projectile, with the time of measurement as '
-        'stamp, at 2 to 10 kHz', depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
+        'stamp, at 2 to 10 kHz', depth=_ONE_SECOND, is_reliable=False, joints=JOINTS,
         quantities=('position',), is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
@@ -184,25 +176,24 @@ class TwinServices(NamedTuple):
     """Services of the twin."""
 
     throw: Service = Service(
-        '~/throw', TRIGGER, 'Throw now; rejected during a throw, with the remaining time')
-    reset: Service = Service(
-        '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
+        '~/throw', 'Throw now; rejected during a throw, with the remaining time')
+    reset: Service = Service('~/reset', 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
     """Services of the recorder."""
 
-    start: Service = Service('~/start', TRIGGER, 'Start recording a new bag')
-    stop: Service = Service('~/stop', TRIGGER, 'Stop recording and finish the bag')
+    start: Service = Service('~/start', 'Start recording a new bag')
+    stop: Service = Service('~/stop', 'Stop recording and finish the bag')
 
 
 class ReplayServices(NamedTuple):
     """Services of the node that plays a bag."""
 
-    pause: Service = Service('~/pause', TRIGGER, 'Pause playback')
-    resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
+    pause: Service = Service('~/pause', 'Pause playback')
+    resume: Service = Service('~/resume', 'Resume playback')
 
 
 VIEWER_DIAGNOSTICS = _diagnostics('Number of messages that are not shown')

@@ -236,7 +236,7 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     """
     return Rig(
         engine=_engine(settings, motion_of),
-        layer=layer_of(settings),
+        layer=_layer(settings),
         projectile=Projectile(**_values_of(Projectile, settings)),
         gravity=settings['gravity'],
     )
@@ -256,8 +256,8 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     return replace(engine, motion=motion_of(path))
 
 
-def layer_of(settings: Settings) -> Layer:
-    """Make the layer that complete settings describe."""
+def _layer(settings: Settings) -> Layer:
+    """Make the layer, of one material or of sheets."""
     layer = Layer(**_values_of(Layer, settings))
     if not settings['layer.stack']:
         return layer

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import ParameterError, RECORDER, TWIN
-from soft_throw_ros.configuration.recorder import VIEWER
-from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
+from soft_throw_ros.configuration.node_tables import CALIBRATOR, RIG, VIEWER
 
 TABLES = (TWIN, RECORDER, VIEWER, RIG, CALIBRATOR)
 SETTINGS = [(table, entry) for table in TABLES for entry in table.entries if not entry.is_result]
