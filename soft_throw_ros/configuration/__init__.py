@@ -20,14 +20,6 @@ from soft_throw_ros.configuration.table import (
 from soft_throw_ros.configuration.twin import rig_of, rig_values, TWIN
 
 __all__ = [
-    'RECORDER',
-    'TWIN',
-    'Entry',
-    'ParameterError',
-    'Scalar',
-    'Settings',
-    'Table',
-    'Value',
-    'rig_of',
-    'rig_values',
+    'RECORDER', 'TWIN', 'Entry', 'ParameterError', 'Scalar', 'Settings', 'Table', 'Value',
+    'rig_of', 'rig_values',
 ]

@@ -10,7 +10,6 @@ error messages and for the order of requests.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from functools import lru_cache
 from itertools import pairwise
 import math
 from pathlib import Path
@@ -113,7 +112,6 @@ def select(sources: Iterable[Source], node: str) -> dict[str, Source]:
     return {item.name: item for item in sources if _matches(item.node, node)}
 
 
-@lru_cache
 def _matches(pattern: str, node: str) -> bool:
     """Return whether a pattern of ROS matches the full name of a node."""
     regex = re.escape('/' + pattern.lstrip('/'))

@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Table of all topics and services; nodes, recording and docs/topics.md read it.
-
-A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-Publishers, the decoding of recorded messages and docs/topics.md follow from the row.
-"""
+"""Table of all topics and services; publishers, recording and docs/topics.md follow from it."""
 
 from __future__ import annotations
 
@@ -32,15 +27,7 @@ _OF_A_JOURNAL = 1000  # depth for four minutes; later subscribers start at the l
 
 
 def resolve(name: str, node: str) -> str:
-    """
-    Return the name of a topic or service of the node with the given full name.
-
-    Examples
-    --------
-    >>> resolve('~/phase', '/rig1/twin'), resolve('/diagnostics', '/rig1/twin')
-    ('/rig1/twin/phase', '/diagnostics')
-
-    """
+    """Return the name of a topic or service of the node with the given full name."""
     return f'{node}/{name.removeprefix("~/")}' if name.startswith('~/') else name
 
 
@@ -152,23 +139,25 @@ class RecorderTopics(NamedTuple):
     diagnostics: Topic = _diagnostics('Recorded and lost messages')
 
 
+TWIN_TOPICS = TwinTopics()
+_DEFAULT_TWIN = TwinTopics(*(topic.at('twin') for topic in TWIN_TOPICS))
+
+
 class RigTopics(NamedTuple):
     """Topics of the simulated rig."""
 
-    measured_joint_states: Topic = replace(
-        TwinTopics().measured_joint_states.at('twin'), is_input=False)
+    measured_joint_states: Topic = replace(_DEFAULT_TWIN.measured_joint_states, is_input=False)
     plate_trajectory: Topic = replace(
-        TwinTopics().plate_trajectory.at('twin'),
-        meaning='Motion that the plate plays, from the stamp on; periodic throws then stop',
-        is_input=True)
+        _DEFAULT_TWIN.plate_trajectory, is_input=True,
+        meaning='Motion that the plate plays, from the stamp on; periodic throws then stop')
 
 
 class CalibratorTopics(NamedTuple):
     """Topics of the calibrator for a twin with the default name."""
 
-    measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
-    throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
-    plate_trajectory: Topic = replace(TwinTopics().plate_trajectory.at('twin'), is_input=True)
+    measured_joint_states: Topic = _DEFAULT_TWIN.measured_joint_states
+    throw_result: Topic = replace(_DEFAULT_TWIN.throw_result, is_input=True)
+    plate_trajectory: Topic = replace(_DEFAULT_TWIN.plate_trajectory, is_input=True)
     diagnostics: Topic = _diagnostics('Result of the last identification')
 
 
@@ -199,7 +188,6 @@ class ReplayServices(NamedTuple):
 VIEWER_DIAGNOSTICS = _diagnostics('Number of messages that are not shown')
 REPLAY_CLOCK = Topic(
     '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
-TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()

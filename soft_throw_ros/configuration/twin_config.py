@@ -20,8 +20,7 @@ from soft_throw_ros.storage.message import SECOND
 
 T = TypeVar('T')
 
-_START_SPEED = 0.1
-"""Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
+_START_SPEED = 0.1  # speed at which a throw has started, over the peak speed by `engine.*` [-]
 
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
@@ -70,7 +69,7 @@ def _value(name: str, _type: type[T]) -> T:
 
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
-    """The configuration of the twin; those of requests are read in `design`."""
+    """The configuration of the twin; `design` reads that of its requests from the settings."""
 
     settings: Settings  # complete
     rig: Rig

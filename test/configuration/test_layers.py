@@ -22,18 +22,15 @@ def test_gelatins_of_the_paper_are_installed_in_six_thicknesses() -> None:
     assert names == [f'gelatin_{size}mm' for size in ('2.0', '5.6', '9.5', '16.8', '23.4', '29.1')]
 
 
-def test_user_materials_and_stacks_extend_the_installed_ones(write: Any) -> None:
-    stack = 'both: {description: d, source: s, stack: "8e-3 gelatin, 2e-3 foam"}\n'
-    mine = library(write(stack + FOAM))
+def test_user_materials_extend_the_installed_ones(write: Any) -> None:
+    mine = library(write(FOAM))
     foam = Material(name='foam', density=120.0, wave_speed=20.0, loss_tangent=0.1)
     assert mine.materials == {**INSTALLED.materials, 'foam': foam}
-    assert mine.layers.keys() == {*INSTALLED.layers, 'foam', 'both'}
+    assert mine.layers.keys() == {*INSTALLED.layers, 'foam'}
     assert mine.layers['foam'] == {
         'layer.stack': '', 'layer.wave_speed': 20.0, 'layer.density': 120.0,
         'layer.loss_tangent': 0.1,
     }
-    assert mine.layers['both']['layer.stack'] == '0.008 7.8 1000.0 0.0, 0.002 20.0 120.0 0.1'
-    assert mine.layers['both']['layer.thickness'] == pytest.approx(0.01)
 
 
 def test_material_makes_a_layer_of_each_thickness_and_its_modulus_a_speed(write: Any) -> None:
@@ -56,8 +53,6 @@ def test_material_makes_a_layer_of_each_thickness_and_its_modulus_a_speed(write:
         (LOSS, f'{LOSS}\n  thicknesses: 0.01', 'thicknesses must be a list, got 0.01'),
         ('foam:', 'gelatin:', "'gelatin': .* already"),
         ('foam:', 'custom:', f"'custom': .*and not {CUSTOM!r}"),
-        ('foam:', 'both: {description: d, source: s, stack: 8e-3 gelatin, density: 1}\nfoam:',
-         "'both': a property must be one of .* got 'density'"),
         (FOAM, '', 'has no material'),
         (FOAM, 'foam: soft\n', "'foam': must be PROPERTY: VALUE, got 'soft'"),
     ],
