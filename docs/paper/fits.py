@@ -19,8 +19,7 @@ from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, R
 SLOPE, SLOPE_ERROR = 0.256, 0.008
 """Slope of T_0 over L_s and its error, printed without a unit, which can only be this. [s/m]"""
 
-NOISE, RATE = 20e-6, 5000.0
-"""Standard deviation of a measured height of the plate [m], and frame rate of the camera [Hz]."""
+NOISE, RATE = 20e-6, 5000.0  # of a height of the plate [m], and of the frames of the camera [Hz]
 
 
 def draw_free_layers() -> Figure:
