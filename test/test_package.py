@@ -18,10 +18,8 @@ import pytest
 import soft_throw_ros
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration.interface import (
-    RECORDER_SERVICES,
     RECORDER_TOPICS,
     RIG_TOPICS,
-    TWIN_SERVICES,
     TWIN_TOPICS,
 )
 
@@ -150,7 +148,7 @@ def test_versions_agree_and_dependencies_match_the_imports(wheel):
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
     of_ros = imported - ON_PYPI.keys() - OPTIONAL - {'soft_throw_ros'}
-    tables = (TWIN_TOPICS, RECORDER_TOPICS, RIG_TOPICS, TWIN_SERVICES, RECORDER_SERVICES)
+    tables = (TWIN_TOPICS, RECORDER_TOPICS, RIG_TOPICS)
     of_ros |= {row.type.partition('/')[0] for table in tables for row in table}
     needed = [ON_PYPI[name] for name in imported & ON_PYPI.keys()]
 

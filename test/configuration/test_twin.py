@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 import pytest
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values, TWIN
-from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.configuration.layers import library, STACKED
 from soft_throw_ros.core.material import LARGEST_CONSTANT_LOSS
 
 DEFAULTS = TWIN.defaults()
@@ -48,8 +48,7 @@ def test_single_changes_leave_consistent_settings(changes: Any) -> None:
     if settings['layer.loss'] == 'constant':  # the rig refuses what its model cannot follow
         assume(settings['layer.loss_tangent'] <= LARGEST_CONSTANT_LOSS)
     rig = rig_of(settings)
-    names = ('thickness', 'wave_speed', 'density', 'loss_tangent', 'stress_strain_law', 'loss')
-    for name in names:
+    for name in (*STACKED, 'stress_strain_law', 'loss'):
         assert getattr(rig.layer, name) == settings[f'layer.{name}']
     assert (rig.layer.parts == ()) is (settings['layer.stack'] == '')
     is_harmonic = settings['engine.motion'] == 'harmonic'
@@ -78,10 +77,8 @@ def test_single_changes_leave_consistent_settings(changes: Any) -> None:
          {'recommendation.target_height': 0.0}),
     ],
 )
-def test_change_adds_implied_changes_and_keeps_its_arguments(settings, request_, implied) -> None:
-    before = dict(settings), dict(request_)
+def test_change_adds_implied_changes(settings, request_, implied) -> None:
     assert TWIN.change(settings, request_) == {**request_, **implied}
-    assert (settings, request_) == before
 
 
 FOAM = """\
@@ -106,9 +103,7 @@ def test_stack_is_kept_in_numbers_after_changes_of_the_library(write) -> None:
     for change in ({'throw.period': 2.0}, {'layer.stress_strain_law': 'neo_hookean'}):
         assert TWIN.change(settings, change) == change
     assert rig_of(settings) == before
-    thin = TWIN.change(settings, {'layer.thickness': 0.004})
-    assert {**settings, **thin}['layer.name'] == 'custom'
-    assert thin['layer.stack'] == ''
+    assert TWIN.change(settings, {'layer.thickness': 0.004})['layer.stack'] == ''
     with pytest.raises(ParameterError, match='No such file'):
         TWIN.change(settings, {'layer.stack': '8e-3 gelatin'})
     mine.write_text(FOAM.replace(' 20.0', ' 9.0'))

@@ -91,6 +91,8 @@ def test_settings_of_the_twin_set_the_limits_and_zero_sets_none():
 @pytest.mark.parametrize(
     ('make', 'message'),
     [
+        (lambda: Uncertainties(thickness=-1e-3), r'uncertainty\.thickness .* got -0\.001'),
+        (lambda: Uncertainties(mass=1.0), r'uncertainty\.mass .* got 1\.0'),
         (lambda: Limits(thickness_min=0.06), 'thickness_min .* got 0.06 and 0.05'),
         (lambda: Limits(thickness_min=0.0), r'thickness_min .* got 0\.0'),
         (lambda: Limits(wave_speed_max=math.inf), 'wave_speed_max .* got inf'),
