@@ -37,6 +37,7 @@ _MAX_DENSE_PARAMETERS = 40  # more ones are of many throws, and their Jacobian i
 _MISMATCH = 9.0  # excess of chi squared per degree, times the root of the degrees; by chance 1e-4
 _SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
 _INSEPARABLE = 0.99  # correlation from which on two parameters cannot be separated
+_WELL_KNOWN = 0.05  # relative error up to which it does not matter that another value fits as well
 _CONTRADICTION = 4.0  # deviation from a prior beyond which chance is unlikely [standard errors]
 
 
@@ -271,20 +272,23 @@ def _covariance(jacobian: Floats) -> Floats:
 def fit_warnings(fit: Fit) -> list[str]:
     """Return all reasons to doubt a fit: each enlarges an error, or a value may be wrong."""
     warnings = []
+    is_vague = fit.errors > _WELL_KNOWN * np.abs(fit.values)
     speeds = [index for index, name in enumerate(fit.names) if 'wave_speed' in name]
     for values, excess in fit.alternatives:
         change = np.abs(values - fit.values) / np.maximum(np.abs(fit.values), 1e-300)
         index = speeds[0] if speeds else int(change.argmax())
-        warnings.append(
-            f'{fit.names[index]} may as well be {values[index]:.5g} (chi squared is larger by '
-            f'{excess:.1f} there); the errors span both'
-        )
+        if is_vague[index]:
+            warnings.append(
+                f'{fit.names[index]} may as well be {values[index]:.5g} (chi squared is larger by '
+                f'{excess:.1f} there); the errors span both'
+            )
     # Parameters of a single one of several throws have its number in brackets
     free = [i for i, name in enumerate(fit.names) if name[-1] != ']' and i not in fit.known]
     warnings += [
         f'{fit.names[i]} and {fit.names[j]} are hardly separated by these tracks (correlation '
         f'{fit.correlation[i, j]:.4f}): hold one'
-        for i, j in combinations(free, 2) if abs(fit.correlation[i, j]) > _INSEPARABLE
+        for i, j in combinations(free, 2)
+        if abs(fit.correlation[i, j]) > _INSEPARABLE and (is_vague[i] or is_vague[j])
     ]
     for index, prior in fit.known.items():
         deviation = float(abs(fit.values[index] - prior.value)) / prior.error
