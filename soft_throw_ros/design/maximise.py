@@ -40,7 +40,7 @@ Where the score is below the third argument, any number between them may be retu
 """
 
 NEAR = 0.1  # part of the highest score that a layer may lack to be searched near [-]
-EQUAL = 1e-9  # relative difference of equal scores; then the thinner layer is chosen [-]
+EQUAL = 1e-9  # relative difference of equal scores: the present or the thinner layer wins [-]
 
 _POINTS = (9, 512)  # least and most grid points along an axis that is free
 _FIRST_POINTS = 4  # grid points computed before the others, to exclude most of them
