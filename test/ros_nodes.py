@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Nodes in this process, without launch: `ros` creates them, and runs their callbacks on request.
-
-Every test has its own context, every test process its own domain, and no message leaves the
-machine.
-"""
+"""Nodes without launch: `ros` makes them, each test in a context, each process in a domain."""
 
 from __future__ import annotations
 
@@ -24,7 +19,7 @@ import tempfile
 import threading
 import time
 import traceback
-from typing import Any, TypeVar
+from typing import Any
 import warnings
 
 from bags import channel, wait_until
@@ -34,25 +29,15 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from soft_throw_ros.commands.warm_up import load_kernels
-from soft_throw_ros.configuration.interface import (
-    FRAME,
-    JOINTS,
-    resolve,
-    Service,
-    Topic,
-    TWIN_TOPICS,
-)
-from soft_throw_ros.configuration.twin_config import TwinConfig
+from soft_throw_ros.configuration.interface import JOINTS, resolve, Service, Topic, TWIN_TOPICS
+from soft_throw_ros.nodes.process import use_transport_profile
 from soft_throw_ros.nodes.realtime import SystemClock
 from soft_throw_ros.nodes.recommendations import RecommendationState
 from soft_throw_ros.nodes.topics import create_subscription
-from soft_throw_ros.nodes.transport import use_transport_profile
 from soft_throw_ros.nodes.twin import Twin
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.cdr import JointStateEncoder
@@ -65,23 +50,14 @@ with warnings.catch_warnings():
     warnings.simplefilter('ignore', DeprecationWarning)
     import lark  # noqa: F401  rclpy imports lark with the first node, and lark obsolete modules
 
+TIMEOUT = 60.0  # longest wait for anything, which a busy machine must not reach [s]
+PROCESS_TIMEOUT = 110.0  # longest wait for another process, including compilation [s]
 _KEPT = 100  # messages that a listener keeps at least, since it does not spin while a twin runs
-
-TIMEOUT = 60.0
-"""Longest wait for anything; a busy machine must not reach it. [s]"""
-
-PROCESS_TIMEOUT = 110.0
-"""Longest wait for another process, including compilation. [s]"""
-
 # Prefix of messages such as of a port in use, which Fast DDS prints at every log level
 _OF_FAST_DDS = re.compile(r'[0-9-]+ [0-9:.]+ \[[A-Z_]+ (Error|Warning)\]')
-
 _FUTEX = '202'  # number of the system call on x86-64
 _WAITING = {0, 9}  # its operations that wait, FUTEX_WAIT and FUTEX_WAIT_BITSET
-
 MILLISECOND = SECOND // 1000
-
-AnyNode = TypeVar('AnyNode', bound=Node)
 
 
 class Ros:
@@ -95,24 +71,23 @@ class Ros:
         self.nodes: list[Node] = []
 
     def node(
-        self,
-        make: Callable[..., AnyNode],
-        *args: Any,
-        ros_args: Iterable[str] = (),
-        **kwargs: Any,
-    ) -> AnyNode:
+        self, make: Callable[..., Any], *args: Any, ros_args: Iterable[str] = (), **kwargs: Any
+    ) -> Any:
         """Make a node with `make(*args, context=..., ...)`; `ros_args` follow `--ros-args`."""
         kwargs.setdefault('cli_args', ['--ros-args', *ros_args])
         try:
             node = make(*args, context=self.context, use_global_arguments=False, **kwargs)
         except Exception as error:
-            _destroy_unfinished(error)
+            frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+            selves = (frame.f_locals.get('self') for frame in frames)
+            # the garbage collector might do so during a discovery, which can block for ever
+            next(item for item in selves if isinstance(item, Node)).destroy_node()
             raise
         self.nodes.append(node)
         self._executor.add_node(node)
         return node
 
-    def spin_until(self, done: Callable[[], bool], event: str = 'the condition') -> None:
+    def spin_until(self, done: Callable[[], bool], event: str) -> None:
         """Run the executor until `done()`; after `TIMEOUT` fail, and name the awaited event."""
         deadline = time.monotonic() + TIMEOUT
         while not done():
@@ -120,31 +95,25 @@ class Ros:
                 pytest.fail(f'timeout after {TIMEOUT:g} s, waiting for {event}')
             self._executor.spin_once(timeout_sec=0.05)
 
-    def result(self, future: Future) -> Any:
-        """Run the executor until `future` is done, and return its result."""
+    def result(self, future: Any) -> Any:
         self.spin_until(future.done, 'the response')
         return future.result()
 
     def call(self, client: Any, request: Any) -> Any:
-        """Wait until the service of `client` is ready, call it, and return the response."""
         self.spin_until(client.service_is_ready, client.srv_name)
         return self.result(client.call_async(request))
 
     def start_twin(self, *ros_args: str, **values: Any) -> DrivenTwin:
-        """Start a twin on a clock set by the test with parameters, `a__b` for a.b."""
         return self.node(DrivenTwin, ros_args=(*ros_args, *rules(**values)))
 
     def sensors_of(self, twin: DrivenTwin | None = None) -> Sensors:
-        """Make the sensors of a twin, or of none that takes the samples."""
         return self.node(Sensors, self, twin)
 
     def listen_to(self, node: Node | str) -> Listener:
-        """Make a listener of a node, which is named if it is in another process."""
         name = node if isinstance(node, str) else node.get_fully_qualified_name()
         return self.node(Listener, self, name)
 
     def close(self) -> None:
-        """Destroy the nodes in reverse order of their creation, and the context."""
         for node in reversed(self.nodes):
             self._executor.remove_node(node)
             node.destroy_node()
@@ -158,66 +127,39 @@ def rules(**values: Any) -> list[str]:
     return [word for rule in each for word in ('-p', rule)]
 
 
-def _destroy_unfinished(error: BaseException) -> None:
-    """
-    Destroy a node whose construction has failed.
-
-    Otherwise the garbage collector destroys the node at an arbitrary time. Destroying and
-    discovering two participants of one process at the same time can block both for ever.
-    """
-    for frame, _ in traceback.walk_tb(error.__traceback__):
-        node = frame.f_locals.get('self')
-        if isinstance(node, Node):
-            try:
-                node.destroy_node()
-            except AttributeError:  # rclpy's constructor has failed, too
-                handle = getattr(node, '_Node__node', None)
-                if handle is not None:
-                    handle.destroy_when_not_in_use()
-            return
-
-
 class GivenClock(SystemClock):
     """A clock whose time the test sets."""
 
     def __init__(self, now: int = SECOND, max_catch_up: int = 1000 * SECOND) -> None:
-        self.epoch = 0
-        self.time = now
-        self.max_catch_up = max_catch_up
+        self.epoch, self.time, self.max_catch_up = 0, now, max_catch_up
 
     def adjust(self) -> None:
-        """Leave the time of day unadjusted."""
+        pass
 
     def now(self) -> int:
         return self.time
 
 
 class DrivenTwin(Twin):
-    """
-    A twin on a clock set by the test.
-
-    `outputs` are those of all steps, and `messages` what a recorder would have received, each a
-    nanosecond later than the one before.
-    """
+    """A twin on a clock set by the test, and `messages` as a recorder would receive them."""
 
     def __init__(self, *, clock: GivenClock | None = None, **kwargs: Any) -> None:
         self.clock = clock or GivenClock()
         self.outputs: list[Outputs] = []
         self.messages: list[Message] = []
-        self._advised: TwinConfig | None = None  # with its uncertainty
+        self._advised: Any = None  # a configuration with its uncertainty
         super().__init__(system_clock=self.clock, **kwargs)
         self.ticker.run_due()  # the first step
 
-    def create_publisher(self, kind: Any, topic: str, *args: Any, **kwargs: Any) -> Publisher:
+    def create_publisher(self, kind: Any, topic: str, *args: Any, **kwargs: Any) -> Any:
         publisher = super().create_publisher(kind, topic, *args, **kwargs)
         return publisher if topic == '/parameter_events' else self.keep(publisher)
 
-    def keep(self, publisher: Publisher) -> Publisher:
-        """Keep all that a publisher of this or another node publishes."""
+    def keep(self, publisher: Any) -> Any:
+        """Keep the messages of a publisher, each a nanosecond later than the one before."""
         kind, publish, numbers = publisher.msg_type, publisher.publish, itertools.count(1)
-        kept = channel(
-            publisher.topic_name, f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
-        )
+        type_name = f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+        kept = channel(publisher.topic_name, type_name)
 
         def keep_and_publish(message: Any) -> None:
             data = message if isinstance(message, bytes) else serialize_message(message)
@@ -229,7 +171,6 @@ class DrivenTwin(Twin):
         return publisher
 
     def of(self, topic: Topic) -> list[Message]:
-        """Return the messages of a topic."""
         name = topic.at(self.get_fully_qualified_name()).name
         return [message for message in self.messages if message.channel.topic == name]
 
@@ -238,13 +179,11 @@ class DrivenTwin(Twin):
         super().on_step(outputs, due)
 
     def advance(self, time_ns: int) -> None:
-        """Advance the clock, and run the due ticks and the jobs of the executor."""
         self.clock.time += time_ns
         self.ticker.run_due()
         self._run_jobs()
 
     def go(self, milliseconds: int) -> DrivenTwin:
-        """Advance in steps of a millisecond."""
         for _ in range(milliseconds):
             self.advance(MILLISECOND)
         return self
@@ -255,18 +194,18 @@ class DrivenTwin(Twin):
 
     def settle(self) -> RecommendationState:
         """Wait until the recommendation is for the present settings, and return it."""
-        wait_until(self._is_settled, TIMEOUT)
-        assert self.recommendation is not None
+
+        def is_settled() -> bool:
+            self._run_jobs()
+            state = self.recommendation
+            is_present = state is not None and state.is_for(self.parameters.settings)
+            return is_present and state.config is self._advised
+
+        wait_until(is_settled, TIMEOUT)
         return self.recommendation
 
-    def _is_settled(self) -> bool:
-        self._run_jobs()
-        state = self.recommendation
-        is_present = state is not None and state.is_for(self.parameters.settings)
-        return is_present and state.config is self._advised
-
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
-        super()._recommend(config, cancelled)
+    def _recommend(self, config: Any, *args: Any) -> None:
+        super()._recommend(config, *args)
         self._advised = config
 
     def finish(self) -> None:
@@ -284,19 +223,15 @@ class Listener(Node):
 
     def __init__(self, ros: Ros, name: str, **kwargs: Any) -> None:
         super().__init__('listener', **kwargs)
-        self._ros = ros
-        self._name = name
+        self._ros, self._name = ros, name
         self.heard: dict[str, list[Any]] = {}
 
     def listen(self, *listed: Topic) -> None:
-        """Subscribe to topics and wait until they are connected."""
-        for topic in listed:
-            named = topic.at(self._name)
-            kept = replace(named, depth=max(named.depth, _KEPT))
+        names = [topic.at(self._name).name for topic in listed]
+        for name, topic in zip(names, listed, strict=True):
+            kept = replace(topic, name=name, depth=max(topic.depth, _KEPT))
             create_subscription(self, kept, self.heard.setdefault(topic.name, []).append)
-            self._ros.spin_until(
-                lambda name=named.name: self._is_matched(name), f'connection to {named.name}'
-            )
+        self._ros.spin_until(lambda: all(map(self._is_matched, names)), f'matches of {names}')
 
     def hear(self, topic: Topic, count: int = 1) -> list[Any]:
         """Wait until `count` messages have been received in total, and return all."""
@@ -305,7 +240,6 @@ class Listener(Node):
         return heard
 
     def statuses(self, topic: Topic, task: str) -> list[Any]:
-        """Return the statuses of a task so far."""
         statuses = [item for message in self.heard[topic.name] for item in message.status]
         return [status for status in statuses if status.name == f'{self._name}: {task}']
 
@@ -315,7 +249,6 @@ class Listener(Node):
         return list(filter(done, self.statuses(topic, task)))[-1]
 
     def trigger(self, service: Service) -> Trigger.Response:
-        """Call a service of the twin."""
         client = self.create_client(Trigger, resolve(service.name, self._name))
         return self._ros.call(client, Trigger.Request())
 
@@ -341,9 +274,7 @@ class Sensors(Node):
 
     def __init__(self, ros: Ros, twin: DrivenTwin | None = None, **kwargs: Any) -> None:
         super().__init__('sensors', **kwargs)
-        self._ros = ros
-        self._twin = twin
-        self._sent = 0
+        self._ros, self._twin, self._sent = ros, twin, 0
         name = TWIN_TOPICS.measured_joint_states.at('/twin').name
         self.publisher = self.create_publisher(JointState, name, QoSProfile(depth=1000))
         if twin is not None:
@@ -351,19 +282,15 @@ class Sensors(Node):
         ros.spin_until(lambda: self.publisher.get_subscription_count() > 0, 'the twin')
 
     def send(self, sample: Sample, names: tuple[str, ...] = JOINTS) -> None:
-        """Publish a sample as the heights of two joints."""
-        encoder = JointStateEncoder(FRAME, names, series=1)
+        encoder = JointStateEncoder('rig', names, series=1)
         self.publish(encoder.encode(sample.stamp_ns, (sample.plate, sample.projectile)))
 
     def publish(self, message: JointState | bytes) -> None:
-        """Publish a message."""
         self.publisher.publish(message)
         self._sent += 1
 
     def wait(self) -> None:
-        """Wait until the twin has taken all that was sent."""
         twin = self._twin
-        assert twin is not None
 
         def is_taken() -> bool:
             twin.measurement.read_messages()
@@ -372,12 +299,9 @@ class Sensors(Node):
 
         self._ros.spin_until(is_taken, 'receipt of all samples')
 
-    def throw(
-        self, samples: Iterable[Sample], *, behind_ns: int = 0, step_ns: int = 10 * MILLISECOND
-    ) -> None:
+    def throw(self, samples: list[Sample], behind_ns: int = 0, step_ns: int = 10_000_000) -> None:
         """Send samples as the clock advances in steps, stamped by a clock that is behind."""
         waiting, twin = list(samples), self._twin
-        assert twin is not None
         while waiting:
             until = twin.clock.time + step_ns
             count = sum(sample.stamp_ns <= until for sample in waiting)
@@ -390,21 +314,14 @@ class Sensors(Node):
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
-    """
-    Lock a ROS domain that no other test process uses; child processes inherit the domain.
-
-    All kernels are compiled before, so that no node compiles during a test.
-    """
-    load_kernels()
+    """Lock a ROS domain that no other test process uses; child processes inherit the domain."""
+    load_kernels()  # before, so that no node compiles during a test
     folder = Path(tempfile.gettempdir()) / f'soft_throw_ros_domains_{os.getuid()}'
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
         for domain in range(1, 102):  # ports of higher domains may be used for other connections
-            with (folder / str(domain)).open('w') as lock:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    continue
+            with (folder / str(domain)).open('w') as lock, contextlib.suppress(BlockingIOError):
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 patch.setenv('ROS_DOMAIN_ID', str(domain))
                 patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
                 use_transport_profile()
@@ -414,10 +331,8 @@ def domain_id() -> Iterator[int]:
 
 
 def _make_ros(domain_id: int) -> Iterator[Ros]:
-    """Yield nodes and destroy them at the end."""
-    ros = Ros(domain_id)
-    yield ros
-    ros.close()
+    with contextlib.closing(Ros(domain_id)) as ros:
+        yield ros
 
 
 ros = pytest.fixture(_make_ros, name='ros')
@@ -437,31 +352,20 @@ def listener(ros: Ros, twin: DrivenTwin) -> Listener:
 
 @pytest.fixture
 def talker(ros: Ros) -> Node:
-    """Return a node for publishers of the test."""
     return ros.node(Node, 'talker')
 
 
 class Process:
-    """
-    A process and its output, without the messages of Fast DDS.
-
-    The process ends with the tests, also if they are killed.
-    """
+    """A process, which ends with the tests, and its output without that of Fast DDS."""
 
     def __init__(self, command: list[str], **kwargs: Any) -> None:
-        self.process = subprocess.Popen(
-            bound_to_parent(command),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            **kwargs,
-        )
+        kwargs |= {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
+        self.process = subprocess.Popen(bound_to_parent(command), **kwargs)
         self.lines: list[str] = []
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
     def wait_for(self, text: str, timeout: float = PROCESS_TIMEOUT) -> None:
-        """Wait until the process has written a line that contains `text`."""
         deadline = time.monotonic() + timeout
         while not any(text in line for line in list(self.lines)):
             is_late = time.monotonic() > deadline or not self._thread.is_alive()
@@ -469,17 +373,14 @@ class Process:
             time.sleep(0.02)
 
     def end(self, number: int) -> int:
-        """Send a signal, and return the exit code."""
         self.process.send_signal(number)
         return self.wait()
 
     def end_well(self, number: int = signal.SIGINT, code: int = 0) -> None:
-        """Send a signal, and check the exit code and that there is no traceback."""
         assert self.end(number) == code, self.lines
         assert not any('Traceback' in line for line in self.lines), self.lines
 
     def wait(self) -> int:
-        """Wait for the end of the process, and return the exit code."""
         code = self.process.wait(PROCESS_TIMEOUT)
         self._thread.join(PROCESS_TIMEOUT)
         return code
@@ -487,11 +388,9 @@ class Process:
     def close(self) -> None:
         self.process.kill()
         self.wait()
-        assert self.process.stdout is not None
         self.process.stdout.close()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             if not _OF_FAST_DDS.match(re.sub(r'\x1b\[[0-9;]*m', '', line)):
                 self.lines.append(line.rstrip())
@@ -499,7 +398,6 @@ class Process:
 
 @pytest.fixture
 def start(domain_id: int) -> Iterator[Callable[..., Process]]:
-    """Start processes, and kill them after the test."""
     with contextlib.ExitStack() as started:
         yield lambda *command, **kwargs: started.enter_context(
             contextlib.closing(Process(list(command), **kwargs))
@@ -508,8 +406,6 @@ def start(domain_id: int) -> Iterator[Callable[..., Process]]:
 
 @pytest.fixture
 def start_node(start: Callable[..., Process]) -> Callable[..., Process]:
-    """Return a function that starts a node with rules for parameters as a process."""
-
     def start_node(name: str, *rules: str, **kwargs: Any) -> Process:
         words = [word for rule in rules for word in ('-p', rule)]
         return start(sys.executable, '-m', 'soft_throw_ros', name, '--ros-args', *words, **kwargs)
@@ -519,11 +415,8 @@ def start_node(start: Callable[..., Process]) -> Callable[..., Process]:
 
 @pytest.fixture
 def record(start_node: Callable[..., Process], tmp_path: Path) -> Callable[..., Process]:
-    """Return a function that starts a recorder of a bag in the temporary folder of the test."""
-
     def record(name: str, *rules: str, **kwargs: Any) -> Process:
-        rules = (f'folder:={tmp_path}', f'name:={name}', *rules)
-        recorder = start_node('recorder', *rules, **kwargs)
+        recorder = start_node('recorder', f'folder:={tmp_path}', f'name:={name}', *rules, **kwargs)
         recorder.wait_for('ready')
         return recorder
 
@@ -542,13 +435,7 @@ def _is_stopped_waiting(task: Path) -> bool:
 
 @pytest.fixture
 def stop() -> Callable[[int], None]:
-    """
-    Return a function that stops a process while all of its threads wait in a system call.
-
-    A process that is stopped or killed while it takes a message from shared memory keeps the lock
-    of its queue: Fast DDS then blocks all senders for up to ten seconds, and drops their messages
-    (docs/record.md). A test of anything else must not meet this case by chance.
-    """
+    """Return a function that stops a process while it holds no lock (docs/record.md)."""
 
     def stop(pid: int) -> None:
         deadline = time.monotonic() + TIMEOUT

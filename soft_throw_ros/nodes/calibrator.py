@@ -6,14 +6,15 @@ The node `calibrator`: identifies the rig again when the twin's predictions are 
 The node collects the tracks of consecutive throws that the twin predicted wrongly, or that were
 too noisy for it. A worker thread identifies the rig from them and sets the parameters of the twin.
 
-After `motion_after` throws in a row that the twin predicted well, the calibrator makes the twin
-command the best motion of the plate, and measures the gain in ejection speed.
+After `motion_after` throws in a row that the twin predicted well, the node makes the twin command
+the best motion of the plate, and measures the gain in ejection speed.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
+import contextlib
 from dataclasses import replace
 from functools import partial
 import math
@@ -24,6 +25,10 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import (
     CALIBRATOR_TOPICS,
@@ -39,17 +44,11 @@ from soft_throw_ros.identification.flight import flight_speed, motion_delay
 from soft_throw_ros.identification.least_squares import Estimate, fit_warnings
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import (
-    msg_to_motion,
-    msg_to_throw_result,
-    msg_to_time,
-)
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_throw_result, msg_to_time
 from soft_throw_ros.nodes.measured import HeightReader, MAX_DATA_RATE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.nodes.service_calls import call, RemoteParameters
 from soft_throw_ros.nodes.topics import create_subscription, full_name, Publishers
-from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import ThrowResult
 from soft_throw_ros.twin.sample_buffer import Samples
@@ -60,30 +59,27 @@ from trajectory_msgs.msg import JointTrajectory
 _READ_PERIOD = 0.02  # between two reads of measurements [s]
 _KEPT_READS = 500  # number of reads whose measurements are kept, ten seconds
 _SET_BACK = SECOND  # smallest step backwards of the stamps when their clock is set [ns]
-_STAMP_ERROR = 'measured.stamp_error'  # parameter of the twin
 _BEFORE = 1.0  # length of the track before the throw, at rest [plate periods]
 _AFTER = 6.5  # length of the track from the start of the throw on [plate periods]
 _PAUSE = 0.5  # pause between two requests for the recommendation, which takes seconds [s]
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
+_ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _RELEASE_TIME_ERROR = 1e-4  # standard error of a release, by delays of the sensors [s]
 _KEPT_COMMANDS = 4  # number of the last commands that are kept
-_KEPT_PARAMETERS = ('layer.thickness', 'layer.diameter', 'projectile.mass')  # of the twin
-_DESCRIPTION = FitDescription(dict.fromkeys(_KEPT_PARAMETERS, FIXED))
+_DESCRIPTION = FitDescription(
+    dict.fromkeys(('layer.thickness', 'layer.diameter', 'projectile.mass'), FIXED)
+)
 _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
 
 
 class MeasuredPositions:
-    """
-    The measured positions of plate and projectile in the last seconds, by the clock of a twin.
-
-    `joints` are their names. The attribute `clock_offset_ns` is added to the stamps [ns].
-    """
+    """The measured positions of two joints in the last seconds, by the clock of a twin."""
 
     def __init__(self, node: RunnableNode, twin: str, joints: tuple[str, str]) -> None:
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
         self._reader = HeightReader(node, topic, joints, Counter())
-        self.clock_offset_ns = 0
+        self.clock_offset_ns = 0  # added to the stamps
         self._batches: deque[Samples] = deque(maxlen=_KEPT_READS)
 
     @property
@@ -130,7 +126,39 @@ class MeasuredThrow(NamedTuple):
 
     speed: Estimate  # at the release, with the error by the scatter of the heights [m/s]
     peak_plate_speed: float  # [m/s]
-    common_error: float  # of the speeds of all such throws [m/s]
+
+
+class RemoteParameters:
+    """The parameters of another node; RequestRejected is raised for each request that fails."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._get = node.create_client(GetParameters, f'{name}/get_parameters')
+        set_ = f'{name}/set_parameters_atomically'
+        self._set = node.create_client(SetParametersAtomically, set_)
+
+    def get(self, names: Sequence[str]) -> Settings:
+        """Return parameters by their names."""
+        values = call(self._get, GetParameters.Request(names=names)).values
+        return dict(zip(names, map(parameter_value_to_python, values), strict=True))
+
+    def set(self, values: Settings) -> None:  # noqa: A003
+        """Set parameters together."""
+        items = (Parameter(name, value=value) for name, value in values.items())
+        parameters = [item.to_parameter_msg() for item in items]
+        result = call(self._set, SetParametersAtomically.Request(parameters=parameters)).result
+        if not result.successful:
+            raise RequestRejected(f'{self._set.srv_name} rejects {values}: {result.reason}')
+
+
+def call(client: Client, request: object) -> Any:
+    """Call a service and wait for the answer; raise RequestRejected if it does not come."""
+    response: Any = None
+    if client.wait_for_service(_ANSWER_TIMEOUT):
+        with contextlib.suppress(TimeoutError):  # of later versions than Jazzy
+            response = client.call(request, _ANSWER_TIMEOUT)
+    if response is None:
+        raise RequestRejected(f'{client.srv_name} does not answer')
+    return response
 
 
 class Calibrator(RunnableNode):
@@ -157,11 +185,9 @@ class Calibrator(RunnableNode):
         self._mispredicted: list[ThrowTracks] = []  # in a row
         self._predicted: list[MeasuredThrow] = []  # in a row
         self._commanded: list[MeasuredThrow] | None = None  # until their gain is known
-        self._is_busy = False
+        self._worker = threading.Thread()  # alive during a task
         self._closing = threading.Event()
-        self._worker = LatestOnlyWorker(self._run_task)
-        self.add_cleanup(self._worker.close, STOP_TIMEOUT)
-        self.add_cleanup(self._closing.set)
+        self.add_cleanup(self._stop)
         self.create_steady_timer(_READ_PERIOD, self._read_measurements)
         self.create_steady_timer(1.0, self._publish_status)
 
@@ -179,6 +205,11 @@ class Calibrator(RunnableNode):
         else:
             self.get_logger().info(message)
 
+    def _stop(self) -> None:
+        self._closing.set()
+        if self._worker.is_alive():
+            self._worker.join(STOP_TIMEOUT)
+
     # Executor thread
 
     def _on_command(self, msg: JointTrajectory) -> None:
@@ -191,7 +222,7 @@ class Calibrator(RunnableNode):
             except ValueError as error:
                 self.get_logger().warning(f'a result cannot be used: {error}')
                 continue
-            if result.stage == 'final' and not self._is_busy:
+            if result.stage == 'final' and not self._worker.is_alive():
                 self._ended = result, msg_to_time(msg.header.stamp)
                 if result.disturbances is not None:
                     self._measured.clock_offset_ns = result.disturbances.clock_offset_ns
@@ -255,14 +286,12 @@ class Calibrator(RunnableNode):
             return
         start_ns = msg_to_time(commands[-1].header.stamp)
         release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(
-            start_ns, release_ns, max_gap=result.rig.crossing_time
-        )
+        tracks = self._measured.between(start_ns, release_ns, max_gap=result.rig.crossing_time)
         motion = msg_to_motion(commands[-1], self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
         throws.append(self._measure_flight(result, release_ns + delay_ns))
         if len(throws) == self.parameters.settings['throws']:
-            self._report(*describe_gain(self._predicted, throws))
+            self._report(*describe_gain(self._predicted, throws, result.rig.gravity))
             self._predicted, self._commanded = [], None
 
     def _measure_flight(self, result: ThrowResult, release_ns: int) -> MeasuredThrow:
@@ -272,21 +301,19 @@ class Calibrator(RunnableNode):
         if gravity:
             duration = min(duration, result.first.ejection_speed / gravity)
         end_ns = release_ns + round(1e9 * duration)
-        tracks = self._measured.between(
-            release_ns, end_ns, max_gap=result.rig.crossing_time
-        )
+        tracks = self._measured.between(release_ns, end_ns, max_gap=result.rig.crossing_time)
         assert tracks.projectile is not None
         speed = flight_speed(tracks.projectile, gravity=gravity)
-        return MeasuredThrow(speed, result.peak_plate_speed, gravity * _RELEASE_TIME_ERROR)
+        return MeasuredThrow(speed, result.peak_plate_speed)
 
     def _submit(self, task: Callable[[], None], reason: str) -> None:
         self.get_logger().info(reason)
-        self._is_busy = True
-        self._worker.submit(task)
+        self._worker = threading.Thread(target=self._run, args=(task,), daemon=True)
+        self._worker.start()
 
     # Worker thread
 
-    def _run_task(self, task: Callable[[], None], _cancelled: Callable[[], bool]) -> None:
+    def _run(self, task: Callable[[], None]) -> None:
         """Run a task; log and publish the reason if it has changed nothing."""
         try:
             task()
@@ -296,7 +323,6 @@ class Calibrator(RunnableNode):
             if not self._closing.is_set():
                 self._report(f'nothing has been changed: {str(error) or repr(error)}', warn=True)
             self._predicted = []
-        self._is_busy = False
 
     def _command_motion(self) -> None:
         """Make the twin command the best motion of the plate, or leave its parameters."""
@@ -313,7 +339,7 @@ class Calibrator(RunnableNode):
 
     def _identify(self, tracks: list[ThrowTracks], rig: Rig) -> None:
         """Identify the rig and apply the result."""
-        stamp_error = float(self._twin.get([_STAMP_ERROR])[_STAMP_ERROR])
+        (stamp_error,) = self._twin.get(['measured.stamp_error']).values()
         throws = [item.apply(partial(replace, stamp_error=stamp_error)) for item in tracks]
         self._apply_fit(fit_rig(throws, rig, _DESCRIPTION))
 
@@ -351,7 +377,7 @@ class Calibrator(RunnableNode):
 
 
 def describe_gain(
-    by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow]
+    by_engine: Sequence[MeasuredThrow], commanded: Sequence[MeasuredThrow], gravity: float
 ) -> tuple[str, dict[str, object]]:
     """
     Return the gain of the commanded motion as a sentence, and its values.
@@ -359,26 +385,27 @@ def describe_gain(
     The errors have the larger scatter, among or within throws, and the common errors.
     """
     values: dict[str, object] = {}
+    means: list[Estimate] = []
     for name, throws in (('engine', by_engine), ('commanded', commanded)):
         speeds, errors = np.transpose([throw.speed for throw in throws])
         scatter = math.sqrt(float(np.mean(errors**2)))
         if speeds.size > 1:
             scatter = max(scatter, float(speeds.std(ddof=1)))
-        speed = float(speeds.mean())
-        error = math.hypot(scatter / math.sqrt(speeds.size), throws[0].common_error)
-        alpha = (speed / float(np.mean([throw.peak_plate_speed for throw in throws]))) ** 2
+        error = math.hypot(scatter / math.sqrt(speeds.size), gravity * _RELEASE_TIME_ERROR)
+        speed = Estimate(float(speeds.mean()), error)
+        ratio = speed.value / float(np.mean([throw.peak_plate_speed for throw in throws]))
+        alpha = Estimate(ratio**2, 2.0 * ratio**2 * error / speed.value)
+        means += speed, alpha
         values |= {
-            f'{name}.ejection_speed': Estimate(speed, error),
-            f'{name}.energy_transfer': Estimate(alpha, 2.0 * alpha * error / speed),
+            f'{name}.ejection_speed': speed,
+            f'{name}.energy_transfer': alpha,
             f'{name}.throws': speeds.size,
         }
-    message = (
-        f'measured gain by the commanded motion: ejection speed '
-        f'{values["engine.ejection_speed"]} -> {values["commanded.ejection_speed"]} m/s, '
-        f'energy transfer {values["engine.energy_transfer"]} -> '
-        f'{values["commanded.energy_transfer"]}'
-    )
-    return message, values
+    before, alpha_before, after, alpha_after = means
+    return (
+        f'measured gain by the commanded motion: ejection speed {before} -> {after} m/s, '
+        f'energy transfer {alpha_before} -> {alpha_after}'
+    ), values
 
 
 main = partial(run, 'calibrator', Calibrator)

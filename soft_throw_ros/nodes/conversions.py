@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between values and messages; `storage.cdr` encodes the messages of every tick."""
+"""Values as messages and texts; `storage.cdr` encodes the messages of every tick."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 import struct
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Duration as DurationMessage
 from builtin_interfaces.msg import Time as TimeMessage
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 import numpy as np
 from numpy.typing import NDArray
 from rclpy import qos
@@ -22,15 +22,13 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
 from soft_throw_ros.configuration import rig_of, rig_values, Scalar, Settings
-from soft_throw_ros.configuration.interface import FRAME
 from soft_throw_ros.configuration.motions import trajectory_points
 from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.storage.bag_folder import load_profiles
 from soft_throw_ros.storage.message import LATEST, SECOND
-from soft_throw_ros.twin.results import ThrowResult
+from soft_throw_ros.twin.results import Disturbances, MOST_LEFT_OUT, ThrowResult
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -42,13 +40,10 @@ _POLICIES = {
 }
 
 _TIMES = ('deadline', 'lifespan', 'liveliness_lease_duration')
-
 _STATE = 3  # position, velocity and acceleration
 _STAMP = struct.Struct('<iI')  # seconds and nanoseconds
 _HEADER_SIZE = 4  # of a serialized message, before its first field [byte]
-
-UNKNOWN_DEPTH = 1000
-"""Queue depth of a publisher if the bag does not contain it; few middlewares report it."""
+UNKNOWN_DEPTH = 1000  # of the queue of a publisher, which few middlewares report [messages]
 
 
 def msg_to_time(msg: TimeMessage) -> int:
@@ -108,16 +103,16 @@ def status_to_msg(
     level: bytes | None = None,
 ) -> DiagnosticStatus:
     """Create a diagnostic status of a node from its full name; numbers keep all their digits."""
-    texts = {
-        key: str(value).lower() if isinstance(value, bool) else str(value)
-        for key, value in values.items()
-    }
+
+    def text(value: object) -> str:
+        return str(value).lower() if isinstance(value, bool) else str(value)
+
     return DiagnosticStatus(
         name=f'{node_name}: {task}',
         hardware_id=node_name,
         message=message,
         level=level or (DiagnosticStatus.WARN if warn else DiagnosticStatus.OK),
-        values=[KeyValue(key=key, value=text) for key, text in texts.items()],
+        values=[KeyValue(key=key, value=text(value)) for key, value in values.items()],
     )
 
 
@@ -126,22 +121,11 @@ def msg_to_values(msg: DiagnosticStatus) -> dict[str, Scalar]:
     return {item.key: _value(item.value) for item in msg.values}
 
 
-def statuses_to_msg(
-    stamp_ns: int, statuses: Sequence[DiagnosticStatus], frame: str = FRAME
-) -> DiagnosticArray:
-    """Combine statuses into one message with a stamp."""
-    header = Header(stamp=time_to_msg(stamp_ns), frame_id=frame)
-    return DiagnosticArray(header=header, status=list(statuses))
-
-
-def cloud_to_msg(
-    stamp_ns: int, names: Sequence[str], points: NDArray[np.float64], frame: str = FRAME
-) -> PointCloud2:
+def cloud_to_msg(header: Header, names: Sequence[str], points: NDArray[np.float64]) -> PointCloud2:
     """Return points, of shape (columns, fields) or (rows, columns, fields), as a message."""
     rows, columns, count = (1, *points.shape)[-3:]
-    data = points.astype('<f8').tobytes()
     return PointCloud2(
-        header=Header(stamp=time_to_msg(stamp_ns), frame_id=frame),
+        header=header,
         height=rows,
         width=columns,
         fields=[
@@ -150,7 +134,7 @@ def cloud_to_msg(
         ],
         point_step=8 * count,
         row_step=8 * count * columns,
-        data=array('B', data),
+        data=array('B', points.astype('<f8').tobytes()),
         is_dense=True,
     )
 
@@ -190,10 +174,8 @@ def values_to_rig(values: Settings) -> Rig:
 
 def _value(text: str) -> Scalar:
     """Parse the text of a value."""
-    if text in ('true', 'false'):
-        return text == 'true'
     number = number_of(text)
-    return text if number is None else number
+    return {'true': True, 'false': False}.get(text, text if number is None else number)
 
 
 @lru_cache(maxsize=4)
@@ -238,3 +220,61 @@ def msg_to_motion(message: JointTrajectory, joint: str) -> SampledMotion:
     if times and times[0] > 0.0:  # a motion counts from its first state
         times, states = [0.0, *times], [[states[0][0], 0.0, 0.0], *states]
     return SampledMotion(np.array(times), np.array(states).reshape(-1, _STATE))
+
+
+def throw_text(result: ThrowResult) -> str:
+    """Return the release of a throw with warnings, or the reason why the throw is invalid."""
+    if not result.is_valid:
+        text = f'no plate samples for more than {1e3 * result.rig.crossing_time:.3g} ms'
+        if result.ended_by == 'noise':
+            text = 'the plate samples are noisy: increase measured.smoothing_window or the rate'
+        causes = [f'throw {result.throw} is invalid: {text}', *_causes(result.disturbances, 0)]
+        return '; '.join(causes)
+    if result.first is None:
+        return f'throw {result.throw}: the projectile was not released'
+    event = 'release predicted' if result.stage == 'predicted' else 'released'
+    text = (
+        f'throw {result.throw}: {event} at {1e3 * result.first.ejection_time:.3f} ms, '
+        f'{result.first.ejection_speed:.4f} m/s, alpha {result.first.energy_transfer:.3f}'
+    )
+    if result.accuracy is not None:
+        text += f' +- {result.accuracy.energy_transfer_error:.3f}'
+    if result.last is not None and result.recontacts:
+        recontacts = f'{result.recontacts} re-contact{"s" * (result.recontacts > 1)}'
+        text += f' ({result.last.energy_transfer:.3f} after {recontacts})'
+    if not result.is_linear:
+        strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
+        text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
+    if result.accuracy is not None and not result.accuracy.is_clean:
+        outliers, samples = result.accuracy.samples_left_out, result.accuracy.samples
+        text += f'; {outliers} of {samples} plate samples were rejected as outliers'
+    return text
+
+
+def comparison_text(result: ThrowResult) -> str:
+    """Return how well the projectile followed the model, and the likely cause of a deviation."""
+    comparison = result.comparison
+    if comparison is None:
+        return 'the projectile was not measured'
+    rms, threshold = 1e6 * comparison.position_rms, 1e6 * comparison.threshold
+    if comparison.is_within_threshold:
+        return f'the projectile followed the model within {rms:.3g} um rms'
+    causes = ', '.join(_causes(result.disturbances, comparison.samples))
+    return (
+        f'the projectile deviated from the model by {rms:.3g} um rms, more than '
+        f'measured.residual_threshold {threshold:.3g} um: '
+        + (causes or 'the layer has aged or slipped, or the parameters are wrong')
+    )
+
+
+def _causes(disturbances: Disturbances | None, samples: int) -> Iterator[str]:
+    """Yield the disturbances of a throw with a number of samples, if any."""
+    if disturbances is None:
+        return
+    if disturbances.samples_missing > MOST_LEFT_OUT * samples:
+        yield (
+            f'{disturbances.samples_missing} samples are missing or came too late (see '
+            'measurement in /diagnostics)'
+        )
+    if disturbances.time_skipped > 0.0:
+        yield f'the twin had no processor time for {1e3 * disturbances.time_skipped:.3g} ms'

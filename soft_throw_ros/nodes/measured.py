@@ -10,9 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 
+from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
+from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
@@ -20,15 +23,9 @@ from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import FARTHEST, Samples
 from soft_throw_ros.twin.session import Session
 
-MAX_MESSAGE_SIZE = 2**14
-"""Size of the largest message that is decoded, 500 joints [bytes]: larger ones hold up a tick."""
-
-MAX_DATA_RATE = 16e6
-"""Largest data rate, about 100,000 samples per second, which bounds a tick [bytes/s]."""
-
-TOLERATED = SECOND // 200
-"""Transport time of a message and difference of synchronized clocks, at most. [ns]"""
-
+MAX_MESSAGE_SIZE = 2**14  # that is decoded, 500 joints: larger ones hold up a tick [bytes]
+MAX_DATA_RATE = 16e6  # about 100,000 samples per second, which bounds a tick [bytes/s]
+TOLERATED = SECOND // 200  # transport time and difference of synchronized clocks, at most [ns]
 _FIRST = SECOND // 5  # duration of the first observation of stamps [ns]
 _LATER = 2 * SECOND  # duration of later observations of stamps [ns]
 _FEWEST = 50  # samples that an observation needs [-]
@@ -36,10 +33,10 @@ _FEWEST = 50  # samples that an observation needs [-]
 
 class HeightReader:
     """
-    A `subscription` of a node to joint states, which reads the heights of plate and projectile.
+    A subscription to joint states, which reads the heights of plate and projectile, its `joints`.
 
-    `joints` are their names. A message that is damaged, lacks the plate, or is larger than
-    `MAX_MESSAGE_SIZE` is counted in `refused` as 'unreadable', 'names' or 'too large'.
+    A message that is damaged, lacks the plate, or is larger than `MAX_MESSAGE_SIZE` is counted in
+    `refused` as 'unreadable', 'names' or 'too large'.
     """
 
     def __init__(
@@ -139,9 +136,8 @@ class Measurement:
     """
     The measurements of a rig, passed to a session that follows its plate.
 
-    A constant error of the sensor's `clock` is removed and logged. `joints` are the names of plate
-    and projectile, `now` returns the time on the clock of the ticks [ns]. `age_ns` is the time
-    from the stamp of the newest sample to its arrival.
+    A constant error of the sensor's `clock` is removed and logged; `now` returns the time on the
+    clock of the ticks [ns].
     """
 
     def __init__(
@@ -152,22 +148,20 @@ class Measurement:
         *,
         now: Callable[[], int],
     ) -> None:
-        self.age_ns = 0
+        self.age_ns = 0  # from the stamp of the newest sample to its arrival
         self.clock = SensorClock()
         self._arrival_ns = 0  # latest time of the clock at which samples arrived [ns]
         self._arrived: list[int] = []  # their stamps [ns]
         self._session = session
         self._now = now
         self._logger = node.get_logger()
+        self._counts: Counter[str] = Counter()  # at the last status
+        self._status = partial(status_to_msg, node.get_fully_qualified_name(), 'measurement')
         topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
         self._reader = HeightReader(node, topic, joints, refused)
 
     def read_messages(self) -> None:
-        """
-        Pass the samples that have arrived to the session, within the budget of a tick.
-
-        If the session is not measured, drop the messages.
-        """
+        """Pass the samples that have arrived to a measured session, at most those of a tick."""
         for samples in self._reader.read(MAX_DATA_RATE / self._session.rate):
             if self._session.is_measured:
                 self._correct_stamps(samples)
@@ -194,6 +188,22 @@ class Measurement:
             **{f'refused.{why}': count for why, count in refused.items()},
         })
 
+    def status(self) -> DiagnosticStatus:
+        """Return the status of the samples received since the last call."""
+        counts = self.count()
+        new = {name: count - self._counts[name] for name, count in counts.items()}
+        self._counts = counts
+        is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
+        text = '{samples} samples, {messages_lost} lost, {samples_refused} refused'.format(**new)
+        text += self.clock.problem and f'; {self.clock.problem}'
+        values = {
+            'at_rest': self._session.is_at_rest,
+            **{name: count for name, count in new.items() if count or '.' not in name},
+            'clock_offset': self.clock.offset_ns / SECOND,
+            'age': self.age_ns / SECOND,
+        }
+        return self._status(text, values, warn=bool(is_lossy or self.clock.problem))
+
     def _correct_stamps(self, samples: Samples) -> None:
         """Correct the stamps of samples by the offset of the sensor's clock."""
         now = self._now()
@@ -204,11 +214,7 @@ class Measurement:
         samples.stamps += self.clock.offset_ns
 
     def _observe(self, now: int) -> None:
-        """
-        Compare the stamps that arrived before the clock moved with the clock.
-
-        `/clock` moves in steps of many milliseconds; stamps within a step are right.
-        """
+        """Compare the stamps of one step of the clock, which may be long, with its end."""
         if not self._arrived or now < self._arrival_ns:  # a bag that is played again
             return
         arrival = min(max(*self._arrived, self._arrival_ns), now)

@@ -22,13 +22,11 @@ class NodeParameters:
 
     `settings` are all present values; they are replaced at every change, so that any thread may
     read them, and `on_changed` is then called with the changes. `check` is called with complete
-    settings before they are accepted, and with its result for the present ones, `checked`, which
-    is None at first; it refuses by ValueError. `arguments` are the command line, for the names of
-    files in ParameterError, which is raised in one line if a value or a name is refused.
+    settings before they are accepted, and with its result for the present ones, `checked`, None at
+    first; it refuses by ValueError. `arguments` name the files in a ParameterError at the start.
 
-    rclpy checks names, types and ranges before it calls the on-set callbacks, and the reasons that
-    it returns lack names and values. So the pre-set callback checks requests, and callbacks of
-    other code never see a part of a refused request. All calls belong in the executor's thread.
+    rclpy checks names, types and ranges before it calls the on-set callbacks, and its reasons lack
+    names and values. So the pre-set callback checks requests, in the executor's thread.
     """
 
     def __init__(

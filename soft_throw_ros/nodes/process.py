@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A node as a process: from its arguments to its exit code."""
+"""
+A node as a process: from its arguments to its exit code.
+
+`config/fastdds.xml` explains the transport of messages between processes.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
+from importlib import metadata, resources
 import os
 import signal
 import sys
@@ -27,32 +32,29 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
-from soft_throw_ros.nodes.transport import describe_discovery, use_transport_profile
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
-POLL = 0.1
-"""Longest wait between two looks at the request to stop [s]."""
-
-EXIT_TIME = 0.6
-"""Longest time from the end of `close` to the end of the process [s]."""
-
-STOP_TIMEOUT = 0.3
-"""Longest wait for one thread to end [s]."""
-
+POLL = 0.1  # longest wait between two looks at the request to stop [s]
+EXIT_TIME = 0.6  # longest time from the end of `close` to the end of the process [s]
+STOP_TIMEOUT = 0.3  # longest wait for one thread to end [s]
 _REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
+_KILTED = 9  # version of rclpy
+_DISTRIBUTIONS = {7: 'jazzy', _KILTED: 'kilted'}
+_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+_LOCAL = ('LOCALHOST', 'OFF')  # discovery ranges that are limited to this machine
+_PROFILES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
 
 
 class RunnableNode(Node):
     """
     Base class of all nodes: a node with a start, an end and an exit code.
 
-    The constructor checks the parameters, raising ParameterError in one line, and creates
-    publishers, subscriptions and services; a signal interrupts it. `start` starts threads and
-    recordings. The executor then runs callbacks until a signal comes, a thread dies, or
-    `exit_code` is set. `close` completes files, while threads, publishers and subscriptions still
-    work. `destroy_node` calls the functions registered by `add_cleanup`, the latest first, so that
-    a thread stops before anything that it uses; this takes at most `EXIT_TIME`.
+    The constructor checks the parameters, raising ParameterError in one line; a signal interrupts
+    it. `start` starts threads and recordings. The executor then runs callbacks until a signal
+    comes, a thread dies, or `exit_code` is set. `close` completes files, while threads and
+    publishers still work. `destroy_node` calls the functions registered by `add_cleanup`, the
+    latest first, so that a thread stops before anything that it uses, within `EXIT_TIME`.
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
@@ -67,11 +69,10 @@ class RunnableNode(Node):
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **kwargs: Any
     ) -> Service:
         """
-        Create a service as `rclpy.node.Node` does, and keep its exceptions away from the node.
+        Create a service as `rclpy.node.Node` does, whose exceptions refuse the request.
 
-        The answer is then the response so far, which is a refusal in every type of this package
-        and of parameters, with the reason in a Trigger. Unexpected exceptions are logged; rclpy's
-        parameter services raise one for a value of an unknown type, which anybody may send.
+        rclpy's parameter services raise one for a value of an unknown type, which anybody may
+        send. The response so far is a refusal in every type; a Trigger has the reason.
         """
 
         def guarded(request: Any, response: Any) -> Any:
@@ -152,7 +153,6 @@ def run(
     try:
         _init(name, arguments, usage)
         node = make(arguments=arguments)
-        node.get_logger().info(describe_discovery())
         _spin(node, is_stopping)
     except KeyboardInterrupt:
         pass
@@ -204,6 +204,7 @@ def _spin(node: RunnableNode, is_stopping: threading.Event) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     node.start()
+    node.get_logger().info(describe_discovery())
     while node.exit_code is None and not is_stopping.is_set():
         executor.spin_once(timeout_sec=POLL)
 
@@ -237,3 +238,34 @@ def _shut_down(node: RunnableNode | None, code: int) -> int:
         sys.stderr.flush()
         os._exit(code)
     return code
+
+
+def distribution() -> str:
+    """Return the name of the ROS distribution, empty if unknown."""
+    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(_rclpy_version(), ''))
+
+
+def _discovery_range() -> str:
+    is_local = os.environ.get('ROS_LOCALHOST_ONLY') == '1'  # obsolete, and has precedence
+    return 'LOCALHOST' if is_local else os.environ.get(_RANGE) or 'SUBNET'
+
+
+def describe_discovery() -> str:
+    """Return which machines can reach a node of this process, and how to limit them."""
+    reach = _discovery_range()
+    verb = 'do not' if reach in _LOCAL else f'may, unless {_RANGE}=LOCALHOST,'
+    return f'discovery range {reach}: other machines {verb} reach this node'
+
+
+def use_transport_profile() -> None:
+    """Let Fast DDS buffer a second of messages, and use local ports if discovery is local."""
+    # if another transport is selected, the package changes nothing
+    if not any(name in os.environ for name in ('FASTDDS_BUILTIN_TRANSPORTS', *_PROFILES)):
+        is_former = _rclpy_version() < _KILTED  # whose Fast DDS reads the former name only
+        file = 'fastdds_loopback.xml' if _discovery_range() in _LOCAL else 'fastdds.xml'
+        path = resources.files('soft_throw_ros') / 'config' / file
+        os.environ[_PROFILES[is_former]] = str(path)
+
+
+def _rclpy_version() -> int:
+    return int(metadata.version('rclpy').partition('.')[0])

@@ -51,7 +51,7 @@ class RawSubscription:
     def __init__(self, node: Node, channel: Channel, profile: QoSProfile) -> None:
         self.channel = channel
         self.profile = profile
-        self.received = 0
+        self.received = self.lost = 0
         self.publishers: set[bytes] = set()
         self._node = node
         self._counter = LossCounter()
@@ -72,11 +72,6 @@ class RawSubscription:
         """Subscribe a node to a topic of this package; the channel has no schema."""
         name = node.resolve_topic_name(topic.name)
         return cls(node, Channel(topic=name, type=topic.type, schema=''), qos_profile(topic))
-
-    @property
-    def lost(self) -> int:
-        """Number of lost messages, as of the last call of `poll_losses`."""
-        return self._counter.lost
 
     def drain(self, max_size: float = math.inf) -> list[Message]:
         """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
@@ -108,6 +103,7 @@ class RawSubscription:
         new = [item for item in infos if bytes(item.endpoint_gid) not in self.publishers]
         self.publishers = {bytes(item.endpoint_gid) for item in infos}
         self._counter.update(self.publishers, self._loss_event.count())
+        self.lost = self._counter.lost
         for item in new:
             _, text = qos_check_compatible(item.qos_profile, self.profile)
             if item.topic_type != self.channel.type:

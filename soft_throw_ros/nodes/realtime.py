@@ -25,20 +25,15 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.nodes.process import RunnableNode, STOP_TIMEOUT
+from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
-from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import Session
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
+PRIORITY = 10  # real-time priority (SCHED_FIFO) of the tick thread [-]
 _SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
-_POLL = 0.1  # longest wait of a thread before it checks the request to stop [s]
-
-PRIORITY = 10
-"""Real-time priority (SCHED_FIFO) of the tick thread [-]."""
-
 _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
 _SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
 _SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
@@ -46,19 +41,13 @@ _STALL = 0.5  # lateness that counts as a stall, as a fraction of `max_catch_up`
 
 
 class SystemClock:
-    """
-    The time of day; it advances steadily between calls of `adjust`.
+    """The time of day; it advances steadily between calls of `adjust`."""
 
-    `epoch` changes when the clock is set, so that times before and after cannot be compared. After
-    a stall, at most `max_catch_up` is caught up and the remaining steps are skipped. A tick later
-    than `tolerance` counts as late. [ns]
-    """
-
-    max_catch_up = SECOND // 10
-    tolerance = SECOND // 5000
+    max_catch_up = SECOND // 10  # of a stall; the steps before are skipped [ns]
+    tolerance = SECOND // 5000  # of ticks that do not count as late [ns]
 
     def __init__(self) -> None:
-        self.epoch = 0
+        self.epoch = 0  # times before and after its change cannot be compared
         self._offset = time.time_ns() - time.monotonic_ns()
 
     def adjust(self) -> None:
@@ -77,7 +66,7 @@ class SystemClock:
         target = deadline - self._offset
         pause = target - _SPIN - time.monotonic_ns()
         if pause > 0:
-            time.sleep(min(pause / SECOND, _POLL))
+            time.sleep(min(pause / SECOND, POLL))
         while 0 < target - time.monotonic_ns() <= _SPIN:
             pass
 
@@ -108,9 +97,9 @@ class NodeClock:
         return int(self._clock.now().nanoseconds)
 
     def wait_until(self, deadline: int) -> None:
-        """Wait until the clock advances."""
+        """Wait until the clock advances, or some time."""
         if self.now() < deadline:
-            self._moved.wait(_POLL)
+            self._moved.wait(POLL)
         self._moved.clear()
 
     def close(self) -> None:
@@ -135,13 +124,11 @@ class Ticker:
 
     `on_tick` advances the session by one step, and is called with the deadline [ns]. `clock`
     returns the clock to follow; if the clock is set or replaced, the next step is due at once.
-    `counts` has the numbers of ticks by their published names, `scheduler` the scheduling policy
-    of the thread, 'fifo' or 'other'.
+    `counts` has the numbers of ticks by their published names.
 
     The thread uses real-time priority as long as this keeps it on time. While it waits for
     Python's global lock, it polls the lock, and may keep the thread that holds the lock from its
-    processor. Many nodes on few cores would then do nothing but poll. After a stall the thread
-    therefore runs with normal priority for `_FIFO_RETRY_DELAY`.
+    processor. After a stall it therefore runs with normal priority for `_FIFO_RETRY_DELAY`.
     """
 
     def __init__(
@@ -149,7 +136,7 @@ class Ticker:
     ) -> None:
         self.counts = Counter(ticks=0, ticks_late=0, ticks_skipped=0, clock_jumps=0)
         self._times: list[tuple[int, int]] = []
-        self.scheduler = ''
+        self.scheduler = ''  # policy of the thread, 'fifo' or 'other'
         self._session = session
         self._on_tick = on_tick
         self._clock = clock
@@ -176,12 +163,11 @@ class Ticker:
 
     def run_due(self) -> int:
         """Run all due steps; return the deadline of the next step on the same clock [ns]."""
-        clock = self._clock()
+        clock, session, counts = self._clock(), self._session, self.counts
         now = clock.now()
         schedule = self._schedule_of(clock, now)
         if schedule is None:
             return now + 1
-        session, counts = self._session, self.counts
         skipped = schedule.skip(step=session.step, now=now, max_catch_up=clock.max_catch_up)
         if skipped:
             counts['ticks_skipped'] += skipped
@@ -225,7 +211,7 @@ class Ticker:
 
 
 def set_priority(priority: int) -> str:
-    """Set the real-time priority of this thread, 0 for none; return its policy, see `Ticker`."""
+    """Set the real-time priority of this thread, 0 for none; return 'fifo' or 'other'."""
     pr_set_timerslack = 29  # from 50 us to 1 ns, so that sleeps end on time
     ctypes.CDLL(None).prctl(pr_set_timerslack, ctypes.c_ulong(1), 0, 0, 0)
     try:
@@ -257,8 +243,7 @@ class RealTimeNode(RunnableNode):
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
         if before is None and missing_parts():
             self.get_logger().info('compiling the kernels, once for this installation')
-            # In a child process, because numba suppresses exceptions of signal handlers. A signal
-            # kills it: files are complete at any time.
+            # In a child process, because numba suppresses exceptions of signal handlers
             subprocess.run(
                 bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
                 stdin=subprocess.DEVNULL,
@@ -268,7 +253,7 @@ class RealTimeNode(RunnableNode):
         return prepare(settings, before)
 
     def attach_session(self, session: Session) -> None:
-        """Attach the session that the node advances after its start."""
+        """Make the ticker of a session, which advances after the start of the node."""
         self.session = session
         self._node_clock = NodeClock(self)
         self.add_cleanup(self._node_clock.close)
@@ -278,29 +263,23 @@ class RealTimeNode(RunnableNode):
         self.create_steady_timer(1.0, self.on_second)
 
     def on_tick(self, due: int) -> None:
-        """Advance by one step, in the tick thread; `due` is its deadline [ns]."""
-        self.on_step(self.session.advance(), due)
-
-    def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish the outputs of a step, in the tick thread; `due` is its deadline [ns]."""
+        """Advance by one step, in the tick thread, and publish; `due` is its deadline [ns]."""
         raise NotImplementedError
 
     def on_second(self) -> None:
-        """Follow adjustments of the system clock; runs in the executor's thread."""
+        """Follow changes of the system clock and of the rate, in the executor's thread."""
         self._system_clock.adjust()
-        self._set_switch_interval()  # the rate may have changed
+        interval = max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate)
+        sys.setswitchinterval(interval)
 
     def start(self) -> None:
         """Load all kernels, freeze the garbage collector, and start the ticks."""
         load_kernels(say=self.get_logger().info)
-        self._set_switch_interval()
+        RealTimeNode.on_second(self)  # as it sets the switch interval
         gc.collect()  # now, since it would delay ticks
         gc.freeze()
         self.ticker.start()
         self.get_logger().info('ready')
-
-    def _set_switch_interval(self) -> None:
-        sys.setswitchinterval(max(_SWITCH_INTERVAL, _SWITCH_FRACTION / self.session.rate))
 
     def _current_clock(self) -> Clock:
         return self._node_clock if self._node_clock.is_active else self._system_clock

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import os
 from pathlib import Path
+import threading
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -92,9 +93,7 @@ def affects_recommendation(name: str) -> bool:
 
 
 @leave_processors(1)  # to the thread of the ticks
-def recommend_for(
-    config: TwinConfig, cancelled: Callable[[], bool] = lambda: False
-) -> RecommendationState:
+def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
     """Return a recommendation or an aim, or the reason why there is none."""
     try:
         best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
@@ -111,3 +110,41 @@ def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
     except ValueError:
         return {}
     return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}
+
+
+class LatestOnlyWorker:
+    """
+    A thread for slow computations; a newer request cancels all earlier ones.
+
+    `serve` takes a request, and a function that returns whether the request is cancelled. It must
+    not raise an exception. `interval` is the time from the end of a call to the next one, so that
+    a storm of requests costs little [s].
+    """
+
+    def __init__(
+        self, serve: Callable[[TwinConfig, Callable[[], bool]], None], *, interval: float
+    ) -> None:
+        self._serve = serve
+        self._interval = interval
+        self._request: TwinConfig
+        self._is_waiting = threading.Event()
+        self._is_closing = threading.Event()
+        self._thread = threading.Thread(name='worker', target=self._work, daemon=True)
+        self._thread.start()
+
+    def submit(self, request: TwinConfig) -> None:
+        """Replace all earlier requests by this one."""
+        self._request = request
+        self._is_waiting.set()
+
+    def close(self, timeout: float) -> None:
+        """Cancel everything, and wait at most `timeout` for the thread to end [s]."""
+        self._is_closing.set()
+        self._is_waiting.set()
+        self._thread.join(timeout)
+
+    def _work(self) -> None:
+        while self._is_waiting.wait() and not self._is_closing.is_set():
+            self._is_waiting.clear()
+            self._serve(self._request, self._is_waiting.is_set)
+            self._is_closing.wait(self._interval)

@@ -28,10 +28,9 @@ from rclpy.qos import DurabilityPolicy
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import run, RunnableNode
+from soft_throw_ros.nodes.process import distribution, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
-from soft_throw_ros.nodes.transport import distribution
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.recording.writer_thread import WriterThread
@@ -40,13 +39,8 @@ from soft_throw_ros.twin.session import RequestRejected
 _DISCOVERY_TIME = 0.2  # time between two searches for new topics [s]
 _VIEWER_TIMEOUT = 2.0  # longest wait for the end of the viewer [s]
 _DRAIN_TIME = 0.01  # time between two calls that take the received messages [s]
-
-PUBLISHER_TIMEOUT = 2.0
-"""Time after which wanted topics without a publisher are reported. [s]"""
-
-SILENCE_LIMIT = 5
-"""Time without messages after which topics are reported although they have publishers. [s]"""
-
+PUBLISHER_TIMEOUT = 2.0  # after which wanted topics without a publisher are reported [s]
+SILENCE_LIMIT = 5  # time without messages from a process after which its topics are reported [s]
 _PARTICIPANT = slice(12)  # part of the identifier of a publisher that names its process, in DDS
 _MAX_NAMES = 2  # in a sentence
 
@@ -91,11 +85,10 @@ class Recording:
 
     def _find_silent_topics(self) -> list[str]:
         """
-        Return the topics of silent processes.
+        Return the topics of processes of which nothing comes.
 
-        A process is silent if nothing comes on any of its topics. Latched topics do not count,
-        since they may be published only once, nor do topics of several processes, since ROS 2
-        Jazzy does not tell whose messages come.
+        Latched topics do not count, since they may be published only once, nor do topics of
+        several processes, since ROS 2 Jazzy does not tell whose messages come.
         """
         topics: dict[bytes, list[str]] = defaultdict(list)
         received: Counter[bytes] = Counter()
@@ -205,8 +198,6 @@ class Recorder(RunnableNode):
         self._has_failed = False
         self._last = 'nothing has been recorded yet'
         self.parameters = NodeParameters(self, RECORDER, arguments=arguments)
-        if self.parameters.settings['start']:
-            _check(self.parameters.settings)
         self._outgoing = Publishers(self, RECORDER_TOPICS)
         create_service(self, RECORDER_SERVICES.start, self._on_start)
         create_service(self, RECORDER_SERVICES.stop, self._on_stop)
@@ -239,8 +230,13 @@ class Recorder(RunnableNode):
 
     def begin(self) -> None:
         """Start a recording; ParameterError if the bag exists."""
-        _check(self.parameters.settings)
-        self.recording = Recording(self, self.parameters.settings)
+        settings = self.parameters.settings
+        if (path := bag_path(settings)).exists():
+            raise ParameterError(
+                f'{path} exists, and a bag is never overwritten; choose another name, or none, '
+                f'got name {settings["name"]!r}'
+            )
+        self.recording = Recording(self, settings)
         self._on_discovery()
         self._report()
         error = self.recording.writer.error
@@ -296,7 +292,7 @@ class Recorder(RunnableNode):
         """Publish the state of the recording, and log its problems."""
         if self._viewer is not None and self._viewer.poll() is not None:
             code, self._viewer = self._viewer.returncode, None
-            self.log(f'the viewer has ended with exit code {code}', is_error=True)
+            self.get_logger().error(f'the viewer has ended with exit code {code}')
         if self.recording is not None:
             for problem in self.recording.new_problems():
                 self.get_logger().warning(problem)
@@ -335,19 +331,6 @@ class Recorder(RunnableNode):
                 warn=bool(lost or missing),
             ),
         ]
-
-
-def _check(settings: Settings) -> None:
-    """Raise ParameterError for a bag that cannot be created."""
-    name, path = settings['name'], bag_path(settings)
-    if name and (name != Path(name).name or name in ('.', '..')):
-        raise ParameterError(f'the name of a bag must be that of a folder, got {name!r}', 'name')
-    if path.exists():
-        raise ParameterError(
-            f'{path} exists, and a bag is never overwritten; choose another name, or none, '
-            f'got name {name!r}',
-            'name',
-        )
 
 
 main = partial(run, 'recorder', Recorder)

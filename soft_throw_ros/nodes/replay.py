@@ -29,9 +29,8 @@ def main(args: list[str] | None = None) -> int:
     """
     Play a bag until its end, or check it.
 
-    The exit code is 0 after the end, a signal, or a check without differences; 1 if the bag is
-    damaged, cannot be played, or differs from its repetition; 2 for a wrong argument, or if the
-    bag is missing, or has no messages to play or to check; 130 after Ctrl-C during a check.
+    The exit code is 1 if the bag is damaged, cannot be played, or differs from its repetition; 2
+    if there is nothing to play or to check; 130 after Ctrl-C during a check.
     """
     arguments = sys.argv[1:] if args is None else args
     end = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)

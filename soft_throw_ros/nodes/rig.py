@@ -15,11 +15,10 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.node_tables import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time, throw_text
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime import RealTimeNode
-from soft_throw_ros.nodes.texts import throw_text
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
@@ -34,9 +33,8 @@ class SimulatedRig(RealTimeNode):
     """
     A session of a twin with its own parameters, measured by faulty sensors.
 
-    Effects that no model of the core has, such as a plate that rings, are computed before the
-    throw as `Deviations` and added. A trajectory of the plate replaces the motion of the engine,
-    from the first step after its stamp on; periodic throws and `Deviations` then stop.
+    `Deviations` are effects that no model of the core has, such as a plate that rings. A
+    trajectory replaces the motion of the engine; periodic throws and `Deviations` then stop.
     """
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
@@ -74,7 +72,7 @@ class SimulatedRig(RealTimeNode):
                 self.session.request_throw()
             except RequestRejected as refusal:
                 self.get_logger().warning(f'a commanded motion is not played: {refusal}')
-        super().on_tick(due)
+        self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the measurements of the sensors."""

@@ -9,7 +9,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -19,9 +19,10 @@ from soft_throw_ros.nodes.conversions import (
     cloud_to_msg,
     encode_command,
     status_to_msg,
-    statuses_to_msg,
+    time_to_msg,
 )
 from soft_throw_ros.storage.cdr import JointStateEncoder
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 _MANY = 8  # number of joints from which on arrays are faster than single values
@@ -87,9 +88,18 @@ class Publishers:
         self.frame = full_name(node, FRAME).lstrip('/')  # of the rig
         self._clock = node.get_clock()
         self._joints = dict(zip(JOINTS, joints, strict=True))
-        self._senders = {
-            topic.name: self._make_sender(node, topic) for topic in topics if not topic.is_input
-        }
+        self._senders: dict[str, tuple[Callable[..., None], Callable[..., Any]]] = {}
+        for topic in topics:
+            if not topic.is_input:
+                publisher = node.create_publisher(
+                    load_type(topic.type),
+                    topic.name,
+                    qos_profile(topic),
+                    event_callbacks=PublisherEventCallbacks(
+                        use_default_callbacks=not topic.is_latched
+                    ),
+                )
+                self._senders[topic.name] = publisher.publish, self._converter(topic)
 
     def send(self, topic: Topic, *values: object) -> None:
         """
@@ -99,36 +109,31 @@ class Publishers:
         per quantity where there are many joints. Diagnostics take a stamp and statuses, clouds a
         stamp and points, trajectories a start [ns] and a motion, other types a number or a text.
         """
-        self._senders[topic.name](*values)
+        publish, convert = self._senders[topic.name]
+        publish(convert(*values))
 
     def report(self, topic: Topic, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish statuses, as made by `status`, with the present time as stamp."""
         self.send(topic, self._clock.now().nanoseconds, statuses)
 
-    def _make_sender(self, node: Node, topic: Topic) -> Callable[..., None]:
-        """Return a function that converts values into a message and publishes it."""
-        message_type = load_type(topic.type)
-        publisher = node.create_publisher(
-            message_type,
-            topic.name,
-            qos_profile(topic),
-            event_callbacks=PublisherEventCallbacks(use_default_callbacks=not topic.is_latched),
-        )
-        publish = publisher.publish
-        frame, plate = self.frame, self._joints[JOINTS[0]]
+    def _header(self, stamp_ns: int) -> Header:
+        return Header(stamp=time_to_msg(stamp_ns), frame_id=self.frame)
+
+    def _converter(self, topic: Topic) -> Callable[..., Any]:
+        """Return the function that converts values into a message, or its bytes."""
         if topic.type == interface.JOINT_STATE:
             names = [self._joints.get(name, name) for name in topic.joints]
-            encoder = JointStateEncoder(frame, names, series=len(topic.quantities))
-            encode = encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
-            return lambda stamp_ns, values: publish(encode(stamp_ns, values))
+            encoder = JointStateEncoder(self.frame, names, series=len(topic.quantities))
+            return encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         if topic.type == interface.CLOUD:
-            return lambda stamp_ns, points: publish(
-                cloud_to_msg(stamp_ns, topic.axes, points, frame)
+            return lambda stamp_ns, points: cloud_to_msg(
+                self._header(stamp_ns), topic.axes, points
             )
         if topic.type == interface.ARRAY:
-            return lambda stamp_ns, statuses: publish(statuses_to_msg(stamp_ns, statuses, frame))
-        if topic.type == interface.TRAJECTORY:
-            return lambda start_ns, motion: publish(
-                encode_command(start_ns, motion, plate, frame)
+            return lambda stamp_ns, statuses: DiagnosticArray(
+                header=self._header(stamp_ns), status=statuses
             )
-        return lambda value: publish(message_type(data=value))
+        if topic.type == interface.TRAJECTORY:
+            return partial(encode_command, joint=self._joints[JOINTS[0]], frame=self.frame)
+        message_type = load_type(topic.type)
+        return lambda value: message_type(data=value)

@@ -9,61 +9,65 @@ messages; other threads hand them over through a queue.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 import math
+import time
 import traceback
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import encode_command, throw_result_to_msg
-from soft_throw_ros.nodes.diagnostics import Diagnostics
+from soft_throw_ros.nodes.conversions import (
+    comparison_text,
+    encode_command,
+    throw_result_to_msg,
+    throw_text,
+)
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.recommendations import (
     affects_recommendation,
+    LatestOnlyWorker,
     recommend_for,
     RecommendationState,
     uncertainty_values,
 )
-from soft_throw_ros.nodes.texts import comparison_text, throw_text
 from soft_throw_ros.nodes.topics import create_service, Publishers
-from soft_throw_ros.nodes.worker import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.results import Outputs, Phase, ThrowResult
+from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
-
-PHASES = tuple(Phase)
-"""Phases, each at the index that `~/phase_change` publishes."""
 
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
 _NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
 _RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
+_MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the timing is a warning [-]
+_MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
 
 class Twin(RealTimeNode):
-    """
-    The twin of a throwing rig.
-
-    `measurement` receives samples of a real rig; `recommendation` is None while it is computed.
-    """
+    """The twin of a throwing rig."""
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.recommendation: RecommendationState | None = None
+        self.recommendation: RecommendationState | None = None  # while it is computed
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._throw = 0  # number of the throw of the last result
         self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
+        self._compared: ThrowResult | None = None  # the last one
+        self._status_time = time.monotonic()
+        self._status_ticks: Counter[str] = Counter()
         self.parameters = NodeParameters(
             self, TWIN, self._on_changed, check=self.prepare, arguments=arguments
         )
@@ -78,9 +82,6 @@ class Twin(RealTimeNode):
         )
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
-        self._diagnostics = Diagnostics(
-            session, self.ticker, self.measurement, self.outgoing.status
-        )
         self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
         self.add_cleanup(self._worker.close, STOP_TIMEOUT)
         self._worker.submit(self.parameters.checked.config)
@@ -93,7 +94,7 @@ class Twin(RealTimeNode):
     def on_tick(self, due: int) -> None:
         """Read the samples that have arrived, and advance by one step."""
         self.measurement.read_messages()
-        super().on_tick(due)
+        self.on_step(self.session.advance(), due)
 
     def on_step(self, outputs: Outputs, due: int) -> None:
         """Publish the messages of every tick, and hand the others over to the executor."""
@@ -109,27 +110,24 @@ class Twin(RealTimeNode):
         if outputs.command is not None:
             send(TWIN_TOPICS.plate_trajectory, *outputs.command)
         if outputs.phases or outputs.results or outputs.throw_field is not None:
-            self._run_in_executor(lambda: self._publish_outputs(outputs, due))
+            self._run_in_executor(self._publish_outputs, outputs, due)
 
     # Any thread
 
-    def _run_in_executor(self, job: Callable[[], None]) -> None:
-        """Run a job in the executor's thread, in the order of the calls."""
-        self._jobs.append(job)
+    def _run_in_executor(self, job: Callable[..., None], *args: object) -> None:
+        """Call a function in the executor's thread, in the order of these requests."""
+        self._jobs.append(partial(job, *args))
         self._wake.trigger()
 
     def on_entry(self, line: str) -> None:
         """Schedule the publication of a line of the journal."""
-        self._run_in_executor(lambda: self.outgoing.send(TWIN_TOPICS.journal, line))
+        self._run_in_executor(self.outgoing.send, TWIN_TOPICS.journal, line)
 
     # Worker thread
 
     def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
         """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
-
-        def publish(state: RecommendationState) -> None:
-            self._run_in_executor(lambda: self._publish_recommendation(state))
-
+        publish = partial(self._run_in_executor, self._publish_recommendation)
         try:
             recommended = recommend_for(config, cancelled)
             if not cancelled():
@@ -150,7 +148,7 @@ class Twin(RealTimeNode):
         """Publish and log the outputs of a step other than the state."""
         send = self.outgoing.send
         for phase, stamp_ns in outputs.phases:
-            send(TWIN_TOPICS.phase_change, stamp_ns, (float(PHASES.index(phase)),))
+            send(TWIN_TOPICS.phase_change, stamp_ns, (float([*Phase].index(phase)),))
         if outputs.phases:
             send(TWIN_TOPICS.phase, outputs.phases[-1].phase.value)
         if outputs.throw_field is not None:
@@ -174,7 +172,7 @@ class Twin(RealTimeNode):
             for name in ('ejection_time', 'ejection_speed', 'energy_transfer'):
                 send(getattr(TWIN_TOPICS, name), getattr(first, name, math.nan))
         if result.stage == 'final' and result.comparison is not None:
-            self._diagnostics.compared = result
+            self._compared = result
         if warning := self._warning_of(result, is_first=is_first):
             self.get_logger().warning(warning)
         elif is_ejection:
@@ -270,7 +268,56 @@ class Twin(RealTimeNode):
                 'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
                 throttle_duration_sec=_NAME_WARNING_PERIOD,
             )
-        self.outgoing.report(TWIN_TOPICS.diagnostics, self._diagnostics.statuses())
+        self.outgoing.report(TWIN_TOPICS.diagnostics, self._statuses())
+
+    # Diagnostics, once per second (REP 107)
+
+    def _statuses(self) -> list[DiagnosticStatus]:
+        """Return the statuses for the time since the last call."""
+        pending = self.session.pending
+        text = f'{len(pending)} parameter changes wait for the next throw or ~/reset'
+        statuses = [
+            self._timing(),
+            self.outgoing.status('parameters', text, {'pending': len(pending), **pending}),
+        ]
+        if self.session.is_measured:
+            statuses += [self.measurement.status(), self._model()]
+        return statuses
+
+    def _timing(self) -> DiagnosticStatus:
+        """Return the status of the lateness and of the processor time of the ticks."""
+        times = np.array(self.ticker.take_times() or [(0, 0)]) / SECOND  # lateness and duration
+        now, ticks = time.monotonic(), self.ticker.counts.copy()
+        passed, new = now - self._status_time, ticks - self._status_ticks
+        self._status_time, self._status_ticks = now, ticks
+        late, skipped, share = new['ticks_late'], new['ticks_skipped'], times[:, 1].sum() / passed
+        text = f'{late} ticks late, {skipped} skipped; {100.0 * share:.1f} % of the time'
+        is_bad = skipped > 0 or late > _MAX_LATE_SHARE * len(times) or share > _MAX_COMPUTE_SHARE
+        if not new['ticks']:
+            is_bad = True
+            text = 'no tick since the last status: no processor time, or /clock stands still'
+        percentiles = np.percentile(times, (50, 99, 100), axis=0).T.ravel()
+        names = [f'{of}_{nth}' for of in ('lateness', 'compute') for nth in ('p50', 'p99', 'max')]
+        values = {
+            **dict(zip(names, percentiles.tolist(), strict=True)),
+            **ticks,
+            'compute_part': share,
+            'rate': self.session.rate,
+            'scheduler': self.ticker.scheduler,
+        }
+        return self.outgoing.status('timing', text, values, warn=is_bad)
+
+    def _model(self) -> DiagnosticStatus:
+        """Return how well the model predicted the last throw."""
+        result = self._compared
+        if result is None or result.comparison is None:
+            return self.outgoing.status('model', 'no throw has been compared')
+        return self.outgoing.status(
+            'model',
+            f'throw {result.throw}: {comparison_text(result)}',
+            {'throw': result.throw, **known_values(result.comparison)},
+            warn=not result.comparison.is_within_threshold,
+        )
 
 
 main = partial(run, 'twin', Twin)

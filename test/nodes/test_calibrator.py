@@ -11,35 +11,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from soft_throw_ros.configuration import motions
+from ros_nodes import MILLISECOND
 from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS
-from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.least_squares import Estimate
 from soft_throw_ros.identification.plate_fit import fit_plate
 from soft_throw_ros.identification.rig_fit import RigFit
 from soft_throw_ros.identification.tracks import Track, TrackError
-from soft_throw_ros.nodes.calibrator import (
-    Calibrator,
-    describe_gain,
-    MeasuredPositions,
-    MeasuredThrow,
-)
+from soft_throw_ros.nodes import calibrator as module
+from soft_throw_ros.nodes.calibrator import Calibrator, MeasuredPositions, MeasuredThrow
 from soft_throw_ros.nodes.conversions import msg_to_values
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Sample
-from twin_runs import measured_throw
-
-MILLISECOND = SECOND // 1000
+from twin_runs import measured_throw, stroke
 
 
 def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) -> None:
     twin = ros.start_twin(engine__motion='measured', time_scale=0.5)
     before = twin.parameters.settings
-    states = [[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    motion = SampledMotion(np.array([0.0, 0.01, 0.03]), np.array(states))
-    file = {'engine.motion_file': str(write(motions.to_csv(motion), 'plate.csv'))}
+    file = {'engine.motion_file': str(write(stroke(), 'plate.csv'))}
     calibrator = ros.node(Calibrator)
     modes = []
 
@@ -54,10 +46,9 @@ def test_twin_that_refuses_a_command_is_left_as_it_was(ros, write, monkeypatch) 
     assert twin.parameters.settings == before
 
 
-@pytest.mark.parametrize(
-    ('second_mode', 'is_converged', 'reason'),
-    [(0.0, False, 'before it converged'), (0.1, True, 'no parameters of the model')],
-)
+@pytest.mark.parametrize(('second_mode', 'is_converged', 'reason'), [
+    (0.0, False, 'before it converged'), (0.1, True, 'no parameters of the model'),
+])
 def test_calibrator_rejects_a_fit_that_is_wrong(ros, second_mode, is_converged, reason) -> None:
     time = np.arange(0.0, 0.1, 1e-3)
     plates = Underdamped.of(Engine()), Underdamped.of(Engine(frequency=150.0))
@@ -67,13 +58,6 @@ def test_calibrator_rejects_a_fit_that_is_wrong(ros, second_mode, is_converged, 
     wrong = RigFit(model=None, fit=replace(fit, is_converged=is_converged))
     with pytest.raises(ValueError, match=reason):
         ros.node(Calibrator)._apply_fit(wrong)
-
-
-def test_calibrator_reports_its_status_although_the_clock_stands_still(ros) -> None:
-    calibrator = ros.node(Calibrator, ros_args=('-p', 'use_sim_time:=true'))
-    listener = ros.listen_to(calibrator)
-    listener.listen(CALIBRATOR_TOPICS.diagnostics)
-    listener.status(CALIBRATOR_TOPICS.diagnostics, 'identification')
 
 
 @pytest.mark.parametrize(
@@ -96,11 +80,10 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
         first_ns = begin_ns + 352 * MILLISECOND
         samples = [item for item in samples if not 0 <= item.stamp_ns - first_ns < gap]
         errors = stamp_error * SECOND * np.random.default_rng(4).standard_normal(len(samples))
-        samples = [
+        sensors.throw([
             item._replace(stamp_ns=item.stamp_ns + round(error))
             for item, error in zip(samples, errors.tolist(), strict=True)
-        ]
-        sensors.throw(samples, behind_ns=round(behind * SECOND))
+        ], behind_ns=round(behind * SECOND))
         twin.session.reset()
         twin.go(1)
     finals = [result for result in twin.results if result.stage == 'final']
@@ -117,18 +100,15 @@ def test_rig_is_identified_whatever_the_prediction_and_the_clock_of_the_sensors(
 
 def test_only_wrong_predictions_in_a_row_make_the_rig_identified(ros, monkeypatch) -> None:
     calibrator = ros.node(Calibrator, ros_args=('-p', 'throws:=2'))
-    reasons: list[str] = []
-    monkeypatch.setattr(calibrator, '_submit', lambda _task, reason: reasons.append(reason))
+    tasks: list[object] = []
+    monkeypatch.setattr(calibrator, '_submit', lambda task, _reason: tasks.append(task))
     monkeypatch.setattr(calibrator._measured, 'between', lambda *_: None)
-    counts = []
-    for is_right in (False, True, False, False):
-        result = SimpleNamespace(
+    for is_right, count in ((False, 0), (True, 0), (False, 0), (False, 1)):
+        calibrator._on_measured_throw(SimpleNamespace(
             throw=1, rig=Rig(), disturbances=True, ended_by='period', first=None,
             comparison=SimpleNamespace(is_within_threshold=is_right),
-        )
-        calibrator._on_measured_throw(result, 0, SECOND)
-        counts.append(len(reasons))
-    assert counts == [0, 0, 0, 1]
+        ), 0, SECOND)
+        assert len(tasks) == count
 
 
 def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_still(ros) -> None:
@@ -138,7 +118,6 @@ def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_sti
     sensors = ros.sensors_of()
 
     def heights(first_ns: int, height: float) -> list[float]:
-        """Measure a tenth of a second, and return the last heights of that time."""
         for stamp_ns in range(first_ns, first_ns + 100 * MILLISECOND, MILLISECOND):
             sensors.send(Sample(stamp_ns, height, 0.0))
         positions.read_messages()
@@ -156,17 +135,14 @@ def test_measurements_are_forgotten_after_their_clock_was_set_back_or_stands_sti
         positions.between(2 * SECOND, 3 * SECOND, max_gap=0.9)
 
 
-@pytest.mark.parametrize(
-    ('speeds', 'error', 'expected'),
-    [
+def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error() -> None:
+    for speeds, error, expected in (
         ([1.5, 1.5, 1.5, 1.5], 4e-3, 2e-3),  # the scatter within the throws
         ([1.49, 1.51], 1e-4, 1e-2),  # the scatter among them: sqrt(2) 0.01 / sqrt(2)
-        ([1.5], 0.0, 1e-3),  # the common error alone
-    ],
-)
-def test_error_of_the_gain_has_the_larger_scatter_and_the_common_error(speeds, error, expected):
-    throws = [MeasuredThrow(Estimate(speed, error), 0.75, 1e-3) for speed in speeds]
-    _, values = describe_gain(throws, throws)
-    value, total = map(float, str(values['engine.ejection_speed']).split(' +- '))
-    assert value == pytest.approx(1.5, abs=1e-3)
-    assert total == pytest.approx(np.hypot(expected if error else 0.0, 1e-3), rel=0.06)
+        ([1.5], 0.0, 0.0),  # the common error alone
+    ):
+        throws = [MeasuredThrow(Estimate(speed, error), 0.75) for speed in speeds]
+        _, values = module.describe_gain(throws, throws, gravity=10.0)
+        value, total = map(float, str(values['engine.ejection_speed']).split(' +- '))
+        assert value == pytest.approx(1.5, abs=1e-3)
+        assert total == pytest.approx(np.hypot(expected, 1e-3), rel=0.06)

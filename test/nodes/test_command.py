@@ -23,10 +23,9 @@ STROKE = PlateLimits(speed=0.4, acceleration=120.0, travel=2.01e-3)
 
 def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, Any]:
     """
-    Return times [ns] and the heights, velocities and accelerations of a controller.
+    Return times [ns] and heights, velocities and accelerations of a controller.
 
-    It joins the state that it holds when a message arrives to the first point, and the points to
-    one another, by quintics, and rejects a trajectory that ends in motion.
+    Quintics join the held state and the points; a trajectory that ends in motion is rejected.
     """
     start_ns = msg_to_time(message.header.stamp)
     stamps, states = [arrival_ns], [held]
@@ -44,30 +43,20 @@ def play(message: Any, arrival_ns: int, held: tuple[float, ...]) -> tuple[Any, A
     return arrival_ns + np.rint(1e9 * times), np.array(path)
 
 
-def stroke() -> SampledMotion:
-    """Return a motion of 2 mm up in 10 ms and down again in 20 ms, from three states."""
-    return SampledMotion(
-        np.array([0.0, 0.01, 0.03]), np.array([[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    )
+STATES = np.array([[0.0, 0.0, 0.0], [2e-3, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
-@pytest.mark.parametrize(
-    ('motion_of', 'limits'),
-    [
-        (stroke, STROKE),
-        pytest.param(
-            lambda: design_motion(Rig(layer=Layer(thickness=5.6e-3))).motion, ENGINE,
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_commands_are_played_as_in_the_twin_and_within_the_limits(
-    ros, write, motion_of, limits
-) -> None:
-    path = write(motions.to_csv(motion_of()), 'plate.csv')
+@pytest.mark.parametrize(('motion_of', 'limits'), [
+    (lambda: SampledMotion(np.array([0.0, 0.01, 0.03]), STATES), STROKE),
+    pytest.param(
+        lambda: design_motion(Rig(layer=Layer(thickness=5.6e-3))).motion, ENGINE,
+        marks=pytest.mark.slow,
+    ),
+])
+def test_commands_are_played_as_in_the_twin_and_within_limits(ros, write, motion_of, limits):
     twin = ros.start_twin(
-        engine__motion_file=path, engine__command='true', engine__command_lead=0.05,
-        throw__period=0.5,
+        engine__motion_file=write(motions.to_csv(motion_of()), 'plate.csv'),
+        engine__command='true', engine__command_lead=0.05, throw__period=0.5,
     )
     listener = ros.listen_to(twin)
     listener.listen(TWIN_TOPICS.plate_trajectory)

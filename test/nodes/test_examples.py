@@ -18,14 +18,11 @@ def command(name: str, *arguments: str) -> tuple[str, ...]:
     return sys.executable, str(EXAMPLES / name), *arguments
 
 
-@pytest.mark.parametrize(
-    ('name', 'line'),
-    [
-        ('map_of_layers.py', r'41\.\d mm, 22\.\d m/s: alpha 4\.14'),
-        ('sweep_of_loss.py', r'loss tangent 0\.05: alpha 3\.256'),
-        ('own_motion.py', r'1\.4\d+ m/s, alpha 3\.\d+'),
-    ],
-)
+@pytest.mark.parametrize(('name', 'line'), [
+    ('map_of_layers.py', r'41\.\d mm, 22\.\d m/s: alpha 4\.14'),
+    ('sweep_of_loss.py', r'loss tangent 0\.05: alpha 3\.256'),
+    ('own_motion.py', r'1\.4\d+ m/s, alpha 3\.\d+'),
+])
 def test_throws_are_computed(name: str, line: str) -> None:
     done = subprocess.run(command(name), capture_output=True, text=True, check=True)
     assert re.search(line, done.stdout)
@@ -33,18 +30,13 @@ def test_throws_are_computed(name: str, line: str) -> None:
 
 
 @pytest.mark.slow
-def test_results_of_fed_samples_are_read(start: Any, start_node: Any) -> None:
+def test_results_of_fed_samples_are_read_and_a_layer_chosen(start: Any, start_node: Any) -> None:
     start_node('twin', 'engine.motion:=measured').wait_for('ready')
     reader = start(*command('read_results.py'))
     start(*command('feed_samples.py'))
     reader.wait_for('thickness 0.04')  # the recommendation comes after some throws
     (speed,) = re.findall(r'([\d.]+) m/s', reader.lines[-1])
     assert float(speed) == pytest.approx(1.375, rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_layer_is_chosen(start: Any, start_node: Any) -> None:
-    start_node('twin').wait_for('ready')
     chooser = start(*command('choose_layer.py'))
     assert chooser.wait() == 0
     assert chooser.lines[0] == 'set'

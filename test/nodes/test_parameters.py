@@ -2,18 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of parameters as parameters of a node."""
 
-from functools import partial
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
-from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
-from soft_throw_ros.configuration import ParameterError, RECORDER, Table, TWIN
-from soft_throw_ros.configuration.layers import default_file
+from soft_throw_ros.configuration import ParameterError, RECORDER, TWIN
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import RunnableNode
 import yaml
@@ -22,20 +18,16 @@ import yaml
 class Watched(RunnableNode):
     """A node with parameters only."""
 
-    def __init__(
-        self, *, check: Any = lambda *_: None, table: Table = TWIN, **kwargs: Any
-    ) -> None:
+    def __init__(self, *, table: Any = TWIN, check: Any = lambda *_: None, **kwargs: Any) -> None:
         super().__init__(table.node, **kwargs)
-        self.changes: list[dict[str, Any]] = []
-        arguments = kwargs.get('cli_args', ())
+        self.table, self.changes = table, list[dict[str, Any]]()
         self.parameters = NodeParameters(
-            self, table, self.changes.append, check=check, arguments=arguments
+            self, table, self.changes.append, check=check, arguments=kwargs['cli_args']
         )
 
 
 @pytest.fixture
 def start(ros: Any) -> Any:
-    """Return a function that starts a node with ROS arguments."""
     return lambda *ros_args, **kwargs: ros.node(Watched, ros_args=ros_args, **kwargs)
 
 
@@ -44,28 +36,20 @@ def twin(start: Any) -> Watched:
     return start()
 
 
-class Client:
+class Client(AsyncParameterClient):
     """Requests to the parameter services of a node from another node, `a__b` for a.b."""
 
     def __init__(self, ros: Any, node: Node) -> None:
+        super().__init__(ros.node(Node, 'client'), node.get_fully_qualified_name())
+        ros.spin_until(self.services_are_ready, 'parameter services')
         self._ros = ros
-        client_node = ros.node(Node, 'parameter_client')
-        self._client = AsyncParameterClient(client_node, node.get_fully_qualified_name())
-        ros.spin_until(self._client.services_are_ready, 'parameter services')
 
-    def set(self, **values: Any) -> list[str]:  # noqa: A003
-        """Set parameters one by one, and return the reasons, '' for accepted ones."""
-        return self._request(self._client.set_parameters, values)
-
-    def set_atomically(self, **values: Any) -> str:
-        """Set parameters atomically, and return the reason, '' if accepted."""
-        return self._request(self._client.set_parameters_atomically, values)[0]
-
-    def _request(self, request: Any, values: dict[str, Any]) -> list[str]:
-        items = [(name.replace('__', '.'), value) for name, value in values.items()]
-        future = request([Parameter(name, value=value) for name, value in items])
-        response = self._ros.result(future)
-        results = getattr(response, 'results', None) or [response.result]
+    def set(self, *, atomically: bool = False, **values: Any) -> list[str]:  # noqa: A003
+        """Set parameters, and return the reasons, '' for accepted ones."""
+        items = [Parameter(name.replace('__', '.'), value=each) for name, each in values.items()]
+        request = self.set_parameters_atomically if atomically else self.set_parameters
+        response = self._ros.result(request(items))
+        results = [response.result] if atomically else response.results
         assert all(result.successful == (not result.reason) for result in results)
         return [result.reason for result in results]
 
@@ -75,21 +59,20 @@ def client(ros: Any, twin: Watched) -> Client:
     return Client(ros, twin)
 
 
-def test_start_declares_the_whole_table_with_types_ranges_and_units(twin) -> None:
-    for entry in TWIN.entries:
-        value = twin.get_parameter(entry.name).value
-        value = value if isinstance(value, (str, float, int)) else tuple(value)
-        assert type(value) is type(entry.default)
-        assert value == entry.default or (entry.is_result and math.isnan(value))
-    thickness = twin.describe_parameter('layer.thickness')
-    assert thickness.type == ParameterType.PARAMETER_DOUBLE
-    assert '[m]' in thickness.description
-    (limits,) = thickness.floating_point_range
-    assert (limits.from_value, limits.to_value) == (0.5e-3, 0.1)
-    (limits,) = twin.describe_parameter('throw.max_events').integer_range
-    assert (limits.from_value, limits.to_value) == (1, 1000)
-    (limits,) = twin.describe_parameter('throw.period').floating_point_range
-    assert limits.from_value == 0.0  # it may be 0
+def test_start_declares_the_whole_table_with_types_ranges_and_units(twin, start) -> None:
+    for node in (twin, start(table=RECORDER)):
+        for entry in node.table.entries:
+            value = node.get_parameter(entry.name).value
+            value = value if isinstance(value, (str, float, int)) else tuple(value)
+            assert type(value) is type(entry.default)
+            assert value == entry.default or (entry.is_result and math.isnan(value))
+    assert '[m]' in twin.describe_parameter('layer.thickness').description
+    for name, low, high in (
+        ('layer.thickness', 5e-4, 0.1), ('throw.max_events', 1, 1000), ('throw.period', 0.0, 3600)
+    ):
+        described = twin.describe_parameter(name)
+        (limits,) = (*described.floating_point_range, *described.integer_range)
+        assert (limits.from_value, limits.to_value) == (low, high)
     assert "'harmonic'" in twin.describe_parameter('engine.motion').additional_constraints
     assert 'gelatin_2.0mm' in twin.describe_parameter('layer.name').additional_constraints
 
@@ -106,8 +89,7 @@ def test_value_is_accepted_as_every_parameter_type(twin, client) -> None:
         before = twin.parameters.settings
         assert client.set(**{name.replace('.', '__'): request}) == ['']
         changes = {name: value, **({'layer.name': 'custom'} if name == 'layer.thickness' else {})}
-        assert twin.changes[-1] == changes
-        assert before == expected
+        assert (twin.changes[-1], before) == (changes, expected)
         expected |= changes
         assert twin.parameters.settings == expected
         received = twin.get_parameter(name).value
@@ -119,9 +101,8 @@ def test_bad_value_is_refused_in_short_with_its_name_and_value(twin, client) -> 
         (reason,) = client.set(layer__thickness=value)
         assert reason.startswith('layer.thickness must be ')
         assert repr(value) in reason or str(value[0]) in reason
-        assert client.set_atomically(layer__thickness=value) == reason
+        assert client.set(atomically=True, layer__thickness=value) == [reason]
     assert twin.get_parameter('layer.thickness').value == 0.0168
-    assert twin.describe_parameter('layer.thickness').type == ParameterType.PARAMETER_DOUBLE
     for request, reason in (
         ({'layer__thicknes': 0.01}, "no parameter of the twin is named 'layer.thicknes'"),
         ({'gravity': 1.0, 'layer__thickness': -1.0}, '-1.0'),
@@ -131,13 +112,11 @@ def test_bad_value_is_refused_in_short_with_its_name_and_value(twin, client) -> 
         ({'x' * 100_000: 1.0}, '...'),
         ({'gravity': [0.001] * 1_000_000}, '...'),
     ):
-        given = client.set_atomically(**request)
+        (given,) = client.set(atomically=True, **request)
         assert reason in given
         assert len(given) < 300
-    assert twin.get_parameter('gravity').value == 9.81
-    assert twin.get_parameter('use_sim_time').value is False
-    assert not twin.changes
-    assert dict(twin.parameters.settings) == TWIN.defaults()
+    assert not twin.get_parameter('use_sim_time').value
+    assert (twin.changes, twin.parameters.settings) == ([], TWIN.defaults())
 
 
 def test_check_of_the_node_can_refuse(ros) -> None:
@@ -146,7 +125,7 @@ def test_check_of_the_node_can_refuse(ros) -> None:
             raise ValueError(f'no gravity, got {settings["gravity"]}')
         return (former or 0) + 1
 
-    twin = ros.node(partial(Watched, check=check))
+    twin = ros.node(Watched, check=check)
     assert Client(ros, twin).set(gravity=0, time_scale=2) == ['no gravity, got 0.0', '']
     assert twin.changes == [{'time_scale': 2.0}]
     assert twin.parameters.checked == 2  # at the start, and for the accepted change
@@ -154,35 +133,9 @@ def test_check_of_the_node_can_refuse(ros) -> None:
         ros.node(Watched, ros_args=('-p', 'gravity:=0'), check=check)
 
 
-def test_texts_lists_and_switches_are_parameters_too(ros, start) -> None:
-    recorder = start('-p', 'topics:=[/rig1, rosout]', '-p', 'start:=false', table=RECORDER)
-    client = Client(ros, recorder)
-    assert list(recorder.get_parameter('topics').value) == ['/rig1', 'rosout']
-    assert client.set(topics=['/a', 'b'], name='bag', start=True, split__size=0) == [''] * 4
-    assert recorder.parameters.settings == {
-        **RECORDER.defaults(), 'topics': ('/a', 'b'), 'name': 'bag', 'start': True,
-    }
-    refusals = client.set(topics=['/a', 'b!'], start=1, name=2, split__size=7)
-    for refusal, value in zip(refusals, ('b!', '1', '2', '7'), strict=True):
-        assert value in refusal.partition('got ')[2]
-
-
-def test_start_prefers_arguments_to_a_file(start) -> None:
-    path = str(default_file().with_name('twin.yaml'))
-    twin = start(
-        '--params-file', path, '-p', 'gravity:=0', '-p', 'layer.thickness:=0.01',
-        '-p', 'use_sim_time:=true', '-p', 'qos_overrides./twin/text.publisher.depth:=7',
-        '-r', '__ns:=/rig1',
-    )
-    assert twin.parameters.settings == {
-        **TWIN.defaults(), 'gravity': 0.0, 'layer.thickness': 0.01, 'layer.name': 'custom',
-    }
-    assert twin.get_parameter('gravity').value == 0.0
-    assert twin.get_clock().ros_time_is_active
-    assert not twin.changes
-
-
-def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_path: Path) -> None:
+def test_dump_with_results_starts_another_twin_below_arguments_and_is_loaded(
+    ros, start, tmp_path
+) -> None:
     first = start('-p', 'engine.motion:=harmonic', '-p', 'measured.position_noise:=6.0e-06')
     first.parameters.set_results({'thickness': 0.04, 'density': 1})
     values = {name: first.get_parameter(name).value for name in TWIN.by_name}
@@ -190,14 +143,17 @@ def test_dump_with_results_starts_another_twin_and_is_loaded(ros, start, tmp_pat
     assert math.isnan(values['recommended.wave_speed'])
     path = tmp_path / 'dump.yaml'
     path.write_text(yaml.safe_dump({'/twin': {'ros__parameters': values}}))
-    second = start('--params-file', str(path))
-    assert second.parameters.settings == first.parameters.settings
+    second = start(
+        '--params-file', str(path), '-p', 'gravity:=0', '-p', 'layer.thickness:=0.01',
+        '-p', 'use_sim_time:=true', '-p', 'qos_overrides./twin/text.publisher.depth:=7',
+    )
+    own = {'gravity': 0.0, 'layer.thickness': 0.01, 'layer.name': 'custom'}
+    assert second.parameters.settings == {**first.parameters.settings, **own}
+    assert second.get_clock().ros_time_is_active
     assert math.isnan(second.get_parameter('recommended.thickness').value)
     third = start('-r', '__node:=third')
     # as `ros2 param load` does, which reads YAML 1.1
-    text = path.read_text().replace('6.0e-06', '6e-06')
-    loaded = yaml.safe_load(text)['/twin']['ros__parameters']
-    assert loaded['measured.position_noise'] == '6e-06'
+    loaded = {**values, 'measured.position_noise': '6e-06'}
     reasons = dict(zip(loaded, Client(ros, third).set(**loaded), strict=True))
     refused = {name: reason for name, reason in reasons.items() if reason}
     assert refused.keys() == {'recommended.thickness', 'recommended.density'}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from ros_nodes import GivenClock
 from soft_throw_ros.nodes.realtime import PRIORITY, set_priority, SystemClock, Ticker
-from soft_throw_ros.nodes.worker import LatestOnlyWorker
+from soft_throw_ros.nodes.recommendations import LatestOnlyWorker
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.tick_schedule import TickSchedule
 
@@ -135,7 +135,7 @@ def test_worker_cancels_outdated_requests_and_serves_the_latest() -> None:
         if not cancelled():
             results.put(request)
 
-    worker: LatestOnlyWorker[int] = LatestOnlyWorker(serve, interval=0.2)
+    worker = LatestOnlyWorker(serve, interval=0.2)
     for request in range(100):
         worker.submit(request)
     assert results.get(timeout=60.0) == 99

@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 
 import pytest
-from soft_throw_ros.nodes.transport import use_transport_profile
+from soft_throw_ros.nodes.process import use_transport_profile
 
 VARIABLES = (
     'FASTDDS_BUILTIN_TRANSPORTS',
@@ -18,7 +18,7 @@ VARIABLES = (
 )
 LISTEN = """
 from pathlib import Path
-from soft_throw_ros.nodes.transport import use_transport_profile
+from soft_throw_ros.nodes.process import use_transport_profile
 use_transport_profile()
 import rclpy
 rclpy.init()

@@ -16,7 +16,7 @@ import pytest
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.stepper import PROJECTILE_POSITION, PROJECTILE_VELOCITY
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.nodes.texts import comparison_text, throw_text
+from soft_throw_ros.nodes.conversions import comparison_text, throw_text
 from soft_throw_ros.simulated_rig import imperfect_rig
 from soft_throw_ros.simulated_rig.imperfect_rig import Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import draw_chances, SensorFaults
