@@ -20,13 +20,8 @@ import numba as nb
 import numpy as np
 import scipy
 
-PARTS = {
-    function.__name__: function
-    for function in (
-        sums.throws, sums.real_time, sums.recommendation, nodes.twin, nodes.recorder
-    )
-}
-"""Functions that measure the tables, by their names."""
+TABLES = (sums.throws, sums.real_time, sums.recommendation, nodes.twin, nodes.recorder)
+PARTS = {function.__name__: function for function in TABLES}
 
 
 def main() -> int:

@@ -3,16 +3,13 @@
 """
 Cost and lateness of the twin beside an rclpy timer, and of the recorder beside rclpy and mcap.
 
-All nodes run in their own processes. The measurements use only topics, the twin's statistics in
-`/diagnostics`, bags, and the process accounting of the kernel. Twin and timer run in turns; both
-recorders record the same messages at the same time.
+All nodes run in their own processes: twin and timer in turns, both recorders at the same time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 import contextlib
-import importlib
 import os
 from pathlib import Path
 import sys
@@ -20,18 +17,8 @@ import tempfile
 import time
 from typing import Any
 
-from bench.processes import (
-    Process,
-    RATE,
-    recorded_states,
-    running,
-    SECOND,
-    SOFT_THROW,
-    STATES,
-    Subscriber,
-    TIMEOUT,
-    usage,
-)
+from bench import processes
+from bench.processes import Process, RATE, running, SECOND, SOFT_THROW, Subscriber, TIMEOUT
 from bench.tables import Result
 import numpy as np
 
@@ -40,12 +27,11 @@ SECONDS = 7.0  # duration of a measurement [s]
 SETTLING = 2.0  # time between the first message and the measurement [s]
 
 LATENESS = ('lateness_p50', 'lateness_p99', 'lateness_max')  # keys in `/diagnostics`
-ROWS = (
-    'lateness p50 [us]', 'lateness p99 [us]', 'lateness max [us]', 'lost [%]', 'of one core [%]',
-)
-"""Numbers of a publisher."""
-
-GOALS = (None, 100.0, None, 0.0, 12.0)  # largest number of the twin in each of the rows
+# Numbers of a publisher, and the largest ones of the twin
+GOALS = {
+    'lateness p50 [us]': None, 'lateness p99 [us]': 100.0, 'lateness max [us]': None,
+    'lost [%]': 0.0, 'of one core [%]': 12.0,
+}
 
 
 def twin() -> Result:
@@ -54,15 +40,15 @@ def twin() -> Result:
     rounds = [[_measure(command) for command in commands] for _ in range(ROUNDS)]
     heads = ['at 1 kHz, one subscriber', 'twin', 'rclpy timer', 'timer / twin', 'goal']
     result = Result(heads, [], {})
-    for title, goal, (ours, plain) in zip(ROWS, GOALS, np.median(rounds, axis=0).T, strict=True):
+    numbers = np.median(rounds, axis=0).T.tolist()
+    for (title, goal), (ours, plain) in zip(GOALS.items(), numbers, strict=True):
         result.rows.append([title, ours, plain, plain / ours if ours else None, goal])
-        if title == ROWS[-1]:
-            result.ratios['of one core'] = plain / ours
+    result.ratios['of one core'] = plain / ours
     return result
 
 
 def _measure(command: tuple[str, ...]) -> tuple[float, ...]:
-    """Run a publisher, and return the numbers of `ROWS`."""
+    """Run a publisher, and return the numbers of `GOALS`."""
     with contextlib.closing(Subscriber()) as heard, running(command) as (child,):
         heard.wait(TIMEOUT, lambda: bool(heard.stamps))
         heard.wait(SETTLING)
@@ -75,15 +61,15 @@ def _measure(command: tuple[str, ...]) -> tuple[float, ...]:
     return float(np.median(p50)), float(np.median(p99)), float(largest.max()), lost, 100.0 * share
 
 
-def _shares(processes: list[Process], wait: Callable[[], None]) -> list[float]:
+def _shares(children: list[Process], wait: Callable[[], None]) -> list[float]:
     """Return the fraction of one core that each process uses during a wait."""
-    before = [usage(process.pid)[0] for process in processes]
+    before = [processes.usage(child.pid)[0] for child in children]
     begin = time.monotonic()
     wait()
     duration = time.monotonic() - begin
     return [
-        (usage(process.pid)[0] - used) / duration
-        for process, used in zip(processes, before, strict=True)
+        (processes.usage(child.pid)[0] - used) / duration
+        for child, used in zip(children, before, strict=True)
     ]
 
 
@@ -109,11 +95,11 @@ def _record(rate: int) -> list[tuple[float, float]]:
             (sys.executable, __file__, 'plain', str(bags[1])),
             (*SOFT_THROW, 'twin', '--ros-args', '-p', f'rate.state:={rate}.0'),
         )
-        with contextlib.closing(Subscriber()) as heard, running(*commands) as processes:
+        with contextlib.closing(Subscriber()) as heard, running(*commands) as children:
             heard.wait(TIMEOUT, lambda: bool(heard.stamps))
             heard.wait(SETTLING)
-            shares = _shares(processes[:2], lambda: heard.wait(SECONDS))
-        recorded = [recorded_states(bag).stamps for bag in bags]
+            shares = _shares(children[:2], lambda: heard.wait(SECONDS))
+        recorded = [processes.recorded_states(bag).stamps for bag in bags]
     first, last = max(map(np.min, recorded)), min(map(np.max, recorded))
     published = np.union1d(*recorded)
     published = published[(published >= first) & (published <= last)]
@@ -133,7 +119,7 @@ def _publish_by_timer() -> None:
 
     rclpy.init(args=[])
     node = rclpy.create_node('twin')
-    states = node.create_publisher(JointState, STATES, QoSProfile(depth=1000))
+    states = node.create_publisher(JointState, processes.STATES, QoSProfile(depth=1000))
     diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
     message = JointState(name=['plate', 'projectile'])
     message.header.frame_id = 'rig'
@@ -163,6 +149,7 @@ def _record_plainly(folder: str) -> None:
     from mcap.writer import Writer
     import rclpy
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
+    from soft_throw_ros.nodes.topics import load_type
 
     rclpy.init(args=[])
     node = rclpy.create_node('plain')
@@ -179,8 +166,7 @@ def _record_plainly(folder: str) -> None:
                 now = time.time_ns()
                 writer.add_message(channel, now, data, now)
 
-            package, _, name = topic.type.split('/')
-            kind = getattr(importlib.import_module(f'{package}.msg'), name)
+            kind = load_type(topic.type)
             node.create_subscription(kind, topic.name, on_message, topic.depth, raw=True)
 
         for topic in TWIN_TOPICS:

@@ -23,7 +23,6 @@ STATES = '/twin/joint_states'  # topic of the twin's states
 RATE = 1000  # default rate of the twin's ticks [Hz]
 SECOND = 1_000_000_000  # one second [ns]
 TIMEOUT = 300.0  # longest wait for the first message, since kernels may have to be compiled [s]
-
 EXIT_TIMEOUT = 120.0  # longest wait for a process after SIGINT: a bag may take long [s]
 
 SOFT_THROW = (sys.executable, '-m', 'soft_throw_ros')
@@ -98,12 +97,12 @@ class Subscriber:
         def on_diagnostics(message: DiagnosticArray) -> None:
             self.statuses.extend({p.key: p.value for p in item.values} for item in message.status)
 
-        def on_states(data: bytes) -> None:
-            self.stamps.append(stamp_of(data))
-
         subscribe = self.node.create_subscription
-        subscribe(JointState, states, on_states, QoSProfile(depth=5000), raw=True)
         subscribe(DiagnosticArray, '/diagnostics', on_diagnostics, 100)
+        subscribe(
+            JointState, states, lambda data: self.stamps.append(stamp_of(data)),
+            QoSProfile(depth=5000), raw=True,
+        )
 
     def wait(self, seconds: float, done: Callable[[], bool] = lambda: False) -> None:
         """Receive messages for some seconds, or until a condition holds."""

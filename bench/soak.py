@@ -4,10 +4,9 @@
 Run twin, recorder and subscribers together for a long time, and check the promises.
 
 The system is a twin at 1 kHz, a recorder, a viewer, four subscribers in separate processes, and a
-client that sets a parameter every ten seconds. The check is independent of the nodes: it compares
-the publication times in the bag, read by the mcap library, with the stamps that the subscribers
-received and with the twin's reports; processor time, memory and open files come from the kernel.
-The exit code is 1 if a promise was broken.
+client that sets a parameter every ten seconds. The check compares the publication times in the
+bag, read by the mcap library, with the stamps that the subscribers received and with the twin's
+reports. The exit code is 1 if a promise was broken.
 """
 
 from __future__ import annotations
@@ -43,8 +42,8 @@ QUIET_PERIOD = 0.3  # a subscriber that ends stops when it receives nothing for 
 TOPICS = (STATES, '/twin/layer/joint_states')  # topics whose losses are counted
 THICKNESSES = (0.0150, 0.0168)  # alternating values of the parameter `layer.thickness` [m]
 
+# Numbers of a process
 COLUMNS = ('of one core [%]', 'memory [MB]', 'growth [MB]', 'handles', 'growth of handles')
-"""Numbers of a process."""
 
 
 def main(args: list[str] | None = None) -> int:
@@ -73,8 +72,8 @@ class _Soak:
     """The processes of a run, their resource usage and exit codes."""
 
     def __init__(self, folder: Path) -> None:
+        # time [s], processor time [s], memory [bytes] and handles of each process
         self.usages: dict[str, list[tuple[float, ...]]] = {}
-        """Time [s], processor time [s], memory [bytes] and handles of each process."""
         self._folder = folder
         self._seconds = 0.0
         self._changes: list[str] = []  # reason of each rejected change, empty if accepted

@@ -23,14 +23,12 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / 'test'))
 
 from reference.method_of_lines import first_release as release_by_lines  # noqa: E402, I100
 
+# Ejection phase t_e f of the default rig without gravity, from two methods with 40 digits [-]
 TRUE_PHASE = 0.4815082783157032
-"""Ejection phase t_e f of the default rig without gravity, from two methods with 40 digits. [-]"""
-
 MANY = 16_384  # number of throws in one call [-]
 TICKS = 1000  # number of ticks in one simulated second [-]
-
+# The most expensive layer
 GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.05)
-"""The most expensive layer."""
 
 
 def throws() -> Result:
@@ -43,11 +41,10 @@ def throws() -> Result:
     }
     many = ratios | {'mass_ratio': rig.mass_ratio * np.geomspace(1.0, 2.0, MANY)}
 
-    def error(phase: float) -> float:
-        return abs(phase - TRUE_PHASE)
-
-    def error_of_gel(phase: float, true: float = _by_lines(gel, cells=400)) -> float:
+    def error(phase: float, true: float = TRUE_PHASE) -> float:
         return abs(phase - true)
+
+    error_of_gel = partial(error, true=_by_lines(gel, cells=400))
 
     def by_waves(stepper: Any) -> float:
         stepper.reset()

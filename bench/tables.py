@@ -27,20 +27,16 @@ class Case(NamedTuple):
     name: str
     call: Callable[[], Any]
     units: float = 1.0
-    error: Callable[[Any], float] | None = None
-    """Error of the returned result."""
-    goal: float | None = None
-    """Longest time for a unit. [us]"""
+    error: Callable[[Any], float] | None = None  # error of the returned result
+    goal: float | None = None  # longest time for a unit [us]
 
 
 class Result(NamedTuple):
     """A measured table."""
 
     heads: list[str]
-    rows: list[list[str | float | None]]
-    """Title and numbers of each row; None marks an empty cell."""
-    ratios: dict[str, float]
-    """Costs relative to the first case, which should be the same on all machines."""
+    rows: list[list[str | float | None]]  # title and numbers; None marks an empty cell
+    ratios: dict[str, float]  # costs over the first case, nearly the same on all machines
 
     def lines(self) -> list[str]:
         """Return the table in Markdown."""

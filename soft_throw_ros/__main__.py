@@ -5,7 +5,6 @@ Run an executable of the package by its name: ``soft-throw NAME [ARGUMENTS]``.
 
 pip installs only this command on the PATH, to keep generic names such as ``replay`` out; colcon
 installs the plain names into lib/soft_throw_ros, for ``ros2 run``.
-
 """
 
 from collections.abc import Callable
@@ -14,8 +13,7 @@ import os
 import signal
 import sys
 
-# Name, module with a main(args), purpose. setup.py also reads this table, and imports delay the
-# signal handlers, so this module imports only a few modules of the standard library.
+# Name, module with a main(args), purpose, also for setup.py; imports above delay signal handlers
 EXECUTABLES = {
     'calibrator': ('soft_throw_ros.nodes.calibrator', 'ROS 2 node: keep a twin calibrated'),
     'design': ('soft_throw_ros.commands.design', 'find a better layer, amplitude or motion'),
@@ -36,19 +34,16 @@ EXECUTABLES = {
 
 def main(args: list[str] | None = None) -> int | None:
     """
-    Run the executable named by the first argument with the other arguments.
+    Run the executable named by the first argument, whose module is imported only then.
 
-    The module is imported only then, so commands that do not need ROS run without it. The exit
-    code is 2 if the name is unknown, and 1 if a required module is not installed.
+    The exit code is 2 if the name is unknown, and 1 if a required module is not installed.
     """
     name, *arguments = (sys.argv[1:] if args is None else args) or ['--help']
     if name in {'-h', '--help'}:
-        return _until_pipe_closes(_print_usage, arguments)
+        return _until_pipe_closes(_print_usage)
     if name not in EXECUTABLES:
-        print(
-            f'soft-throw: unknown executable {name!r}; choose from {", ".join(EXECUTABLES)}',
-            file=sys.stderr,
-        )
+        rule = f'choose from {", ".join(EXECUTABLES)}'
+        print(f'soft-throw: unknown executable {name!r}; {rule}', file=sys.stderr)
         return 2
     sys.argv = [f'soft-throw {name}', *arguments]  # the prefix of its messages
     return _run(name, arguments)
@@ -56,10 +51,9 @@ def main(args: list[str] | None = None) -> int | None:
 
 def __getattr__(name: str) -> Callable[[], int | None]:
     """Return the entry point of a name that colcon installs, such as `run_twin`."""
-    executable = name.removeprefix('run_')
-    if executable == name or executable not in EXECUTABLES:
+    if not name.startswith('run_') or name[4:] not in EXECUTABLES:
         raise AttributeError(f'unknown executable {name!r}')
-    return lambda: _run(executable, sys.argv[1:])
+    return lambda: _run(name[4:], sys.argv[1:])
 
 
 def _run(name: str, arguments: list[str]) -> int | None:
@@ -68,8 +62,7 @@ def _run(name: str, arguments: list[str]) -> int | None:
     is_node = '.nodes.' in module_name
     # During the import a signal ends the process at once without output, because an interrupted
     # import prints dozens of lines. Nodes then exit with 0, as they do later.
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    handlers = {number: signal.getsignal(number) for number in numbers}
+    handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     for number, handler in handlers.items():
         if handler != signal.SIG_IGN:
             signal.signal(number, lambda number, _: os._exit(0 if is_node else 128 + number))
@@ -80,27 +73,23 @@ def _run(name: str, arguments: list[str]) -> int | None:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         remedy = '; it is a ROS 2 node: source the setup file of ROS 2, or run make' * is_node
-        print(
-            f'soft-throw: {name} needs a module that is not installed: {error}{remedy}',
-            file=sys.stderr,
-        )
+        reason = f'needs a module that is not installed: {error}{remedy}'
+        print(f'soft-throw: {name} {reason}', file=sys.stderr)
         return 1
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     try:
-        return _until_pipe_closes(module.main, arguments)
+        return _until_pipe_closes(lambda: module.main(arguments))
     except KeyboardInterrupt:  # the executable has not installed a signal handler
         return 0 if is_node else 128 + signal.SIGINT
 
 
-def _until_pipe_closes(
-    run: Callable[[list[str]], int | None], arguments: list[str]
-) -> int | None:
+def _until_pipe_closes(run: Callable[[], int | None]) -> int | None:
     """Run a function; if its reader leaves, as of `| head`, its output ends without an error."""
     try:
         try:
-            return run(arguments)
+            return run()
         finally:
             sys.stdout.flush()
     except BrokenPipeError:
@@ -108,12 +97,10 @@ def _until_pipe_closes(
         return 0
 
 
-def _print_usage(_arguments: list[str]) -> int:
-    """Print the usage of the command with one line per executable; return 0."""
-    width = max(map(len, EXECUTABLES))
-    lines = [f'  {name:{width}}  {purpose}' for name, (_, purpose) in EXECUTABLES.items()]
+def _print_usage() -> None:
+    """Print a line for each executable."""
+    lines = [f'  {name:11}  {purpose}' for name, (_, purpose) in EXECUTABLES.items()]
     print('usage: soft-throw NAME [ARGUMENTS]', '', 'executables:', *lines, sep='\n')
-    return 0
 
 
 if __name__ == '__main__':

@@ -28,7 +28,7 @@ from soft_throw_ros.configuration.interface import (
     resolve,
     TWIN_TOPICS,
 )
-from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
+from soft_throw_ros.configuration.node_tables import RECORDER, VIEWER
 from soft_throw_ros.configuration.robot_model import urdf_of_file
 from urdf_parser_py.urdf import URDF
 import yaml

@@ -27,7 +27,7 @@ def echo(monkeypatch):
 
 
 def test_umbrella_lists_every_executable_on_one_line(capsys):
-    assert umbrella.main(['--help']) == 0
+    assert not umbrella.main(['--help'])
     lines = capsys.readouterr().out.splitlines()
     for name, (_, purpose) in umbrella.EXECUTABLES.items():
         assert [line.split(maxsplit=1) for line in lines].count([name, purpose]) == 1

@@ -95,8 +95,8 @@ def test_wheel_has_the_declared_dependencies_config_and_one_command_that_runs(so
     names |= {node.module for node in nodes if isinstance(node, ast.ImportFrom)}
     imported = {name.split('.')[0] for name in names} - sys.stdlib_module_names
     of_ros = imported - ON_PYPI.keys() - OPTIONAL - {'soft_throw_ros'}
-    rows = itertools.chain(*itertools.chain(*INTERFACES.values()))  # of topics and services
-    of_ros |= {row.type.partition('/')[0] for row in rows}
+    topics = itertools.chain(*(topics for topics, _ in INTERFACES.values()))
+    of_ros |= {topic.type.partition('/')[0] for topic in topics}
     needed = [ON_PYPI[name] for name in imported & ON_PYPI.keys()]
     declared = {element.text for element in MANIFEST.findall('exec_depend')}
     required = metadata.get_all('Requires-Dist')

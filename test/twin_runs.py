@@ -145,7 +145,7 @@ def stroke(row: int = 0, **changes: float) -> str:
     return '\n'.join([','.join(names), *(','.join(map(str, row.values())) for row in rows)])
 
 
-MEASUREMENT = TwinConfig.from_settings(TWIN.defaults()).measurement
+MEASUREMENT = TwinConfig(settings=TWIN.defaults(), rig=Rig()).measurement
 PLATE = MEASUREMENT.plate
 INTERVAL = 200_000  # [ns]
 

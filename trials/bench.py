@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 NOISES = (10e-6, 30e-6)  # default range of the standard deviation of heights [m]
 RATES = (3000.0, 8000.0)  # default range of the sample rate [Hz]
 MODES = (3.0, 7.0)  # range of the frequency of a second mode, over that of the plate [-]
+# Standard errors of the command by default: relative for the mass, of lengths in metres
 ERRORS = {'mass': 0.01, 'thickness': 1e-4, 'diameter': 1e-4}
-"""Standard errors of the command by default: relative for the mass, of lengths in metres."""
 
 _START = (14e-3, 18e-3)  # range of the start of a throw in its record [s]
 _SLOWEST = 0.5  # smallest ejection speed, over the peak speed of the plate [-]
@@ -34,12 +34,9 @@ _DRAWS = 1000  # largest number of rigs that are drawn for one throw
 class Trial:
     """Simulated measurements with the true parameters."""
 
-    records: tuple[Floats, ...]
-    """Measurements, one array per throw: times [s], heights of plate and projectile [m]."""
-    arguments: tuple[str, ...] = ()
-    """Arguments of the command, without the files."""
-    truth: Mapping[str, float] = field(default_factory=dict)
-    """True values by the names of the results; `ejection.*` is the first release."""
+    records: tuple[Floats, ...]  # for each throw times [s], heights of plate and projectile [m]
+    arguments: tuple[str, ...] = ()  # of the command, without the files
+    truth: Mapping[str, float] = field(default_factory=dict)  # by the names of the results
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,11 +58,9 @@ class RigRange:
             return float(np.exp(random.uniform(*np.log(limits))))
 
         thickness, wave_speed = map(log_uniform, (self.thickness, self.wave_speed))
-        engine = Engine(
-            frequency=log_uniform(self.frequency),
-            amplitude=log_uniform(self.amplitude),
-            damping_ratio=random.uniform(*self.damping_ratio),
-        )
+        frequency, amplitude = map(log_uniform, (self.frequency, self.amplitude))
+        damping_ratio = random.uniform(*self.damping_ratio)
+        engine = Engine(frequency=frequency, amplitude=amplitude, damping_ratio=damping_ratio)
         tangent = random.uniform(*self.loss_tangent)
         layer = Layer(thickness=thickness, wave_speed=wave_speed, loss_tangent=tangent)
         projectile = Projectile(mass=log_uniform(self.mass_ratio) * layer.mass)
@@ -79,22 +74,14 @@ class Bench:
     rigs: RigRange = field(default_factory=RigRange)
     imperfections: Imperfections = field(default_factory=Imperfections)
     faults: SensorFaults = field(default_factory=SensorFaults)
-    noise: float | None = None
-    """Standard deviation of heights; drawn from `NOISES` if None [m]."""
-    is_neo_hookean: bool = False
-    """Whether the layer is neo-Hookean, and stiffens by its strain."""
-    has_modes: bool = False
-    """Whether the frequency of a second mode is drawn from `MODES`."""
-    drift: float = 0.0
-    """Drift of the heights over the record, over the amplitude [-]."""
-    rate: float | None = None
-    """Sample rate; drawn from `RATES` if None [Hz]."""
-    duration: float = 0.1
-    """Duration of a record [s]."""
-    lost_runs: float = 0.0
-    """Share of samples that are lost in runs of 4 to 23 [-]."""
-    accept: Callable[[ImperfectThrow], bool] = lambda _: True
-    """Additional condition for a throw."""
+    noise: float | None = None  # standard deviation of heights; drawn from `NOISES` if None [m]
+    is_neo_hookean: bool = False  # whether the layer stiffens by its strain
+    has_modes: bool = False  # whether the frequency of a second mode is drawn from `MODES`
+    drift: float = 0.0  # of the heights over the record, over the amplitude [-]
+    rate: float | None = None  # of the samples; drawn from `RATES` if None [Hz]
+    duration: float = 0.1  # of a record [s]
+    lost_runs: float = 0.0  # share of samples that are lost in runs of 4 to 23 [-]
+    accept: Callable[[ImperfectThrow], bool] = lambda _: True  # additional condition for a throw
 
     def draw_throw(self, random: np.random.Generator) -> ImperfectThrow:
         """Simulate random rigs until a throw is good and accepted; return this throw."""

@@ -96,18 +96,12 @@ def _identify(arguments: list[str]) -> tuple[dict[str, Any], str]:
         try:
             identify.main(arguments)
         except SystemExit:
-            lines = errors.getvalue().strip().splitlines()
-            return {}, lines[-1] if lines else 'refused without a message'
+            return {}, errors.getvalue().strip().splitlines()[-1]
     return json.loads(output.getvalue()), ''
 
 
 def compare(report: dict[str, Any], truth: Mapping[str, float]) -> dict[str, Deviation]:
-    """
-    Return the deviations of all fitted parameters and of the first release.
-
-    Near a jump of the ejection time the command reports the release one echo earlier or later as
-    an alternative with its own value and error. The nearer one of the two counts.
-    """
+    """Return the deviations of the fitted parameters and of the nearest alternative release."""
     deviations: dict[str, Deviation] = {}
     for row in report.get('rows', ()):
         name = row['name']

@@ -88,12 +88,8 @@ def _catches_up(thrown: ImperfectThrow) -> bool:
 
 
 _LOSSY = RigRange(loss_tangent=(0.02, 0.2))
-_HOLD = tuple(
-    word
-    for name, treatment in IDEAL_BENCH.items()
-    if treatment == FIXED
-    for word in ('--hold', name)
-)
+_HELD = [name for name, treatment in IDEAL_BENCH.items() if treatment == FIXED]
+_HOLD = tuple(word for name in _HELD for word in ('--hold', name))
 _FIT_LOSS = ('-p', 'layer.loss_tangent:=0.05+-0.5')
 _RINGING, _SECOND_MODE = Imperfections(ringing=0.02), Imperfections(second_mode=0.01)
 _SLOW = RigRange(amplitude=(0.1e-3, 0.3e-3), frequency=(20.0, 45.0))
@@ -137,7 +133,5 @@ ROWS = (
         ),
     ), *_FIT_LOSS)),
 )
-"""All rows in the order of the table."""
 
 ROWS_BY_NAME = {row.name: row for row in ROWS}
-"""All rows by name."""

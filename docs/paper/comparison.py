@@ -10,16 +10,8 @@ import math
 from typing import NamedTuple
 
 from fits import SLOPE, SLOPE_ERROR
-from models import (
-    best_frequency_ratio,
-    best_ratios,
-    DAMPING_RATIO,
-    period_of_free_layer,
-    PROJECTILE_DENSITY,
-    releases_at,
-    SERIES,
-    thick_layer,
-)
+import models
+from models import best_ratios, DAMPING_RATIO, PROJECTILE_DENSITY, releases_at, SERIES, thick_layer
 import numpy as np
 from numpy.typing import ArrayLike
 import scheme
@@ -122,7 +114,7 @@ def _thin_and_thick() -> Iterator[Row]:
 
 def _limits() -> Iterator[Row]:
     """Yield the rows of Apps. A to C: massless spring, free layer, thick layers."""
-    ratio = best_frequency_ratio()
+    ratio = models.best_frequency_ratio()
     spring = spring_release(frequency_ratio=ratio)
     speed, error = 2.0 / SLOPE, 2.0 / SLOPE**2 * SLOPE_ERROR
     small, medium, heavy, large = 0.01, 0.1, 100.0, 1e5  # omega tau
@@ -131,8 +123,8 @@ def _limits() -> Iterator[Row]:
     late = math.pi - 2.0 / heavy + math.pi / heavy**2
     yield Row('best f0/f of a massless spring', 'A', '1.62', ratio, 4)
     yield Row('its alpha', 'A', '3.13', spring.energy_transfer, 4)
-    yield Row('period of a free layer, T_0 c_s/L_s', 'B', '2', period_of_free_layer(1000), 4,
-              'free at both ends; glued to the plate it is 4')
+    yield Row('period of a free layer, T_0 c_s/L_s', 'B', '2', models.period_of_free_layer(1000),
+              4, 'free at both ends; glued to the plate it is 4')
     yield Row('a = T_0/L_s (s/m)', 'B', f'{SLOPE:g}', 2.0 / Layer().wave_speed, 3,
               f'c_s = 2/a = {speed:.2f} +- {error:.2f} m/s, as its error is {SLOPE_ERROR:g}; '
               'printed 7.8 +- 0.3')
@@ -192,11 +184,10 @@ def _end_of_plateau(mass_ratio: float) -> float:
     """Return the largest speed ratio whose release is before the return of the wave."""
 
     def excess(speed_ratio: float) -> float:
-        """Return the crossings until the release beyond 3."""
         release = first_releases(mass_ratio=mass_ratio, speed_ratio=speed_ratio)
         return float(release.ejection_phase) * speed_ratio - 3.0
 
-    return float(bisect(excess, 7.0, 9.0, xtol=1e-12))
+    return float(bisect(excess, 7.0, 9.0, xtol=1e-12))  # of the crossings beyond 3
 
 
 def _ridge(x: float) -> tuple[float, float]:

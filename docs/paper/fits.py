@@ -11,7 +11,7 @@ from models import DAMPING_RATIO, THICKNESSES
 import numpy as np
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer
-from soft_throw_ros.design.uncertainty import Uncertainties
+from soft_throw_ros.design.prediction import Uncertainties
 from soft_throw_ros.identification.plate_fit import fit_plate, NAMES
 from soft_throw_ros.identification.tracks import Track
 from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, RED
@@ -19,8 +19,7 @@ from style import BLACK, BLUE, GREEN, legend_below, MILLI, new_figure, ORANGE, R
 SLOPE, SLOPE_ERROR = 0.256, 0.008
 """Slope of T_0 over L_s and its error, printed without a unit, which can only be this. [s/m]"""
 
-NOISE, RATE = 20e-6, 5000.0
-"""Standard deviation of a measured height of the plate [m], and frame rate of the camera [Hz]."""
+NOISE, RATE = 20e-6, 5000.0  # of a height of the plate [m], and of the frames of the camera [Hz]
 
 
 def draw_free_layers() -> Figure:

@@ -20,8 +20,7 @@ from soft_throw_ros.core.closed_form import FirstRelease
 from style import BLACK, BLUE, broken, C_LABEL, legend_below, new_figure, PAPER, RED, X_LABEL
 
 _C_END = 14.0
-_GRID = (np.arange(420) + 0.5) / 420, _C_END * (np.arange(420) + 0.5) / 420
-"""Points of a map along x and along C, about one per dot."""
+_GRID = (np.arange(420) + 0.5) / 420, _C_END * (np.arange(420) + 0.5) / 420  # x and C, per dot
 
 # Levels of ejection time, energy transfer, crossings and changes, and positions of labels
 _PHASES, _TRANSFERS = np.arange(0.0, 1.21, 0.05), np.arange(0.0, 4.41, 0.2)

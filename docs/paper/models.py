@@ -139,12 +139,7 @@ def best_frequency_ratio() -> float:
 
 
 def thick_layer(omega_tau: float) -> tuple[float, float]:
-    r"""
-    Return angle :math:`\omega (t_e - t_s)` of the plate [rad] and energy transfer factor [-].
-
-    The projectile leaves the layer before the wave has returned. The throw then depends on
-    :math:`\omega \tau` alone (App. C). The plate is harmonic.
-    """
+    r"""Return :math:`\omega (t_e - t_s)` [rad] and energy transfer of a thick layer (App. C)."""
     speed_ratio = 1.0  # any value below 4: the wave returns after half a plate period
     mass_ratio = omega_tau * speed_ratio / (2.0 * math.pi)
     release = first_releases(mass_ratio=mass_ratio, speed_ratio=speed_ratio)

@@ -29,14 +29,12 @@ Floats = NDArray[np.float64]
 
 MODULUS = 3.6e9  # Young's modulus of the projectile, E_r [Pa]
 
+# Exact throws of an elastic projectile of 16.3 mm at 63.2 Hz, with a harmonic plate: thickness of
+# the layer [m], t_e f, and the speeds of its centre of mass and of its lower face over A omega
 EXACT = (
     (2.0e-3, 0.25234398637936983, 1.5146422569913178, 1.514621268422948),
     (5.6e-3, 0.3689758829724327, 1.809256199489624, 1.8092403238788732),
 )
-"""
-Exact throws of an elastic projectile of 16.3 mm at 63.2 Hz, with a harmonic plate: thickness [m],
-t_e f, and the speeds of its centre of mass and of its lower face over A omega.
-"""
 
 
 class Release(NamedTuple):

@@ -15,7 +15,7 @@ from scheme import releases
 from soft_throw_ros.core.closed_form import first_releases, spring_release
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import Engine
-from soft_throw_ros.design.uncertainty import prediction_uncertainty
+from soft_throw_ros.design.prediction import prediction_uncertainty
 import style
 
 Floats = NDArray[np.float64]

@@ -88,8 +88,7 @@ def broken(values: ArrayLike) -> Floats:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, without the version of matplotlib, so that bytes do not change."""
-    with settings():
-        figure.savefig(path, metadata={'Software': None}, pil_kwargs={'optimize': True})
+    figure.savefig(path, metadata={'Software': None}, pil_kwargs={'optimize': True})
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -169,9 +169,7 @@ def draw_traces() -> Figure:
     return style.legend_below(figure, panels[0], columns=4)
 
 
-def _quote_release(
-    axes: Axes, throw: Throw, position: tuple[float, float], height: float
-) -> None:
+def _quote_release(axes: Axes, throw: Throw, position: tuple[float, float], height: float) -> None:
     """Label the release at a height of the axes with its results."""
     axes.annotate(
         f'leaves at $t_e$ = {MILLI * throw.ejection_time:.3f} ms\nwith $V_e$ = '

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 import contextlib
 from pathlib import Path
 import re
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands import options, output
@@ -21,11 +21,10 @@ from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.plate import motion_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import Aim
-from soft_throw_ros.design.landscape import AXES, compute_landscape, Landscape, Release, RESULTS
+from soft_throw_ros.design.landscape import AXES, compute_landscape, Landscape, RESULTS
 from soft_throw_ros.design.motion import MotionDesign, PlateLimits
-from soft_throw_ros.design.prediction import predict
-from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import predict, prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.recommendation import RequestResult, solve_request
 import yaml
 
 _RANGE = re.compile(r'([^:-][^:]*):([^:]+)(?::([2-9]|[1-9]\d+))?(:log)?')
@@ -64,8 +63,6 @@ def _add_map_arguments(parser: CommandParser) -> None:
     )
     add = parser.add_argument
     add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
-    add('--release', choices=get_args(Release), default='first',
-        help='first or last release of a throw (default first)')
     add('--output', metavar='FILE', nargs='+', type=options.new_file(*_MAP_WRITERS), default=[],
         help='.nc (NetCDF) or .png (picture)')
     options.add_dask_option(parser)
@@ -194,7 +191,7 @@ def _map(arguments: argparse.Namespace) -> int:
     rig = rig_of(options.read_settings(arguments))
     axes = dict(map(_read_axis, arguments.axes or ['x', 'C']))
     with output.slow_notice('design map'), options.open_map(arguments.dask) as run_blocks:
-        landscape = compute_landscape(rig, axes, release=arguments.release, run=run_blocks)
+        landscape = compute_landscape(rig, axes, run=run_blocks)
     for path in arguments.output:
         with output.written_file(path) as unfinished:
             _MAP_WRITERS[path.suffix](landscape, unfinished)
@@ -232,7 +229,7 @@ def _summary(landscape: Landscape) -> Iterator[str]:
         yield 'the projectile is released nowhere on the map'
     size = ' x '.join(str(values.size) for values in landscape.axes.values())
     lost = int(np.isnan(landscape.energy_transfer).sum())
-    yield f'{size} throws, {landscape.release} release; {lost} have none that can be resolved'
+    yield f'{size} throws, first release; {lost} have none that can be resolved'
 
 
 def _draw_map(landscape: Landscape, path: Path) -> None:
@@ -257,7 +254,7 @@ def _draw_map(landscape: Landscape, path: Path) -> None:
             label=f'{RESULTS[name].meaning.lower()} {RESULTS[name].symbol}',
             colours=colours, highest=highest, marks=list(_marks(landscape)),
         )
-    figure.suptitle(f'{landscape.release} release', fontsize='medium')
+    figure.suptitle('first release', fontsize='medium')
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2,
         facecolor='0.5', labelcolor='white',

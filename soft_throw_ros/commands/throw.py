@@ -19,7 +19,7 @@ from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import spring_release
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 
 _NOTES = {
     'throw': 'whole throw of a rigid projectile, as the twin computes it',

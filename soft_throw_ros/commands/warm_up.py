@@ -22,7 +22,7 @@ from types import ModuleType
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
-from soft_throw_ros.design.requests import solve_request
+from soft_throw_ros.design.recommendation import solve_request
 from soft_throw_ros.twin import plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 

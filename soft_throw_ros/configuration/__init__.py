@@ -8,7 +8,7 @@ options of the commands. This package may import `core` and `storage`.
 
 """
 
-from soft_throw_ros.configuration.recorder import RECORDER
+from soft_throw_ros.configuration.node_tables import RECORDER
 from soft_throw_ros.configuration.table import (
     Entry,
     ParameterError,
@@ -20,14 +20,6 @@ from soft_throw_ros.configuration.table import (
 from soft_throw_ros.configuration.twin import rig_of, rig_values, TWIN
 
 __all__ = [
-    'RECORDER',
-    'TWIN',
-    'Entry',
-    'ParameterError',
-    'Scalar',
-    'Settings',
-    'Table',
-    'Value',
-    'rig_of',
-    'rig_values',
+    'RECORDER', 'TWIN', 'Entry', 'ParameterError', 'Scalar', 'Settings', 'Table', 'Value',
+    'rig_of', 'rig_values',
 ]

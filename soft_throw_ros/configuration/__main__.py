@@ -8,15 +8,18 @@ The files are the defaults of two nodes, docs/parameters.md and docs/topics.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeAlias
 
 from soft_throw_ros.configuration.files import render
-from soft_throw_ros.configuration.interface import INTERFACES, Topic, TWIN_TOPICS
-from soft_throw_ros.configuration.recorder import RECORDER, VIEWER
-from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
-from soft_throw_ros.configuration.table import Entry, value_text
+from soft_throw_ros.configuration.interface import INTERFACES, Topic
+from soft_throw_ros.configuration.node_tables import CALIBRATOR, RECORDER, RIG, VIEWER
+from soft_throw_ros.configuration.table import Table, value_text
 from soft_throw_ros.configuration.twin import TWIN
+
+Row: TypeAlias = tuple[str, ...]
+Sections: TypeAlias = list[tuple[str, dict[Row, list[Row]]]]  # nodes, and their tables by heads
 
 _COMMAND = 'python -m soft_throw_ros.configuration'
 
@@ -54,70 +57,59 @@ def documents() -> dict[str, str]:
             render(table.defaults(), table=table, title=title.format(table.node))
         for table in (TWIN, RECORDER)
     }
-    pages = {'parameters': _parameters_page(), 'topics': _topics_page()}
+    parameters: Sections = [
+        (table.node, {('parameter', 'default (values)', 'meaning'): _parameter_rows(table)})
+        for table in (TWIN, RECORDER, VIEWER, CALIBRATOR, RIG)
+    ]
+    topics: Sections = [
+        (node, {
+            ('topic', 'type', 'content', 'queue'): [*map(_topic_row, topics)],
+            ('service', 'type', 'effect'):
+                [(f'`{item.name}`', 'std_srvs/Trigger', item.meaning) for item in services],
+        })
+        for node, (topics, services) in INTERFACES.items()
+    ]
+    pages = {'parameters': _page(_PARAMETERS, parameters), 'topics': _page(_TOPICS, topics)}
     return {**files, **{f'docs/{name}.md': '\n'.join(page) for name, page in pages.items()}}
 
 
-def _parameters_page() -> Iterator[str]:
-    yield _PARAMETERS
-    for table in (TWIN, RECORDER, VIEWER, CALIBRATOR, RIG):
-        known = () if table is TWIN else TWIN.entries
-        shared = [f'`{entry.name}`' for entry in table.entries if entry in known]
-        rows = [_parameter_row(entry) for entry in table.entries if entry not in known]
-        head = ('parameter', 'default (values)', 'meaning')
-        yield from _section(table.node, shared, (head, rows))
+def _parameter_rows(table: Table) -> list[Row]:
+    rows: list[Row] = []
+    for entry in table.entries:
+        unit = f' [{entry.unit}]' if entry.unit and entry.is_result else ''
+        rule = entry.rule.replace("'", '`').removeprefix('a number from ').removeprefix('one of ')
+        rule = rule.replace('a whole number from', 'whole,').removesuffix(', or empty')
+        values = f'{value_text(entry.default) or "empty"} ({rule})'
+        cells = 'read-only' if entry.is_result else values, entry.meaning + unit
+        rows.append((f'`{entry.name}`', *cells))
+    return rows
 
 
-def _parameter_row(entry: Entry) -> tuple[str, ...]:
-    unit = f' [{entry.unit}]' if entry.unit and entry.is_result else ''
-    rule = entry.rule.replace("'", '`').removeprefix('a number from ').removeprefix('one of ')
-    rule = rule.replace('a whole number from', 'whole,').removesuffix(', or empty')
-    return (
-        f'`{entry.name}`',
-        'read-only' if entry.is_result else f'{value_text(entry.default) or "empty"} ({rule})',
-        entry.meaning + unit,
-    )
-
-
-def _topics_page() -> Iterator[str]:
-    yield _TOPICS
-    for node, (topics, services) in INTERFACES.items():
-        known = () if node == 'twin' else {topic.meaning for topic in TWIN_TOPICS}
-        shared = [_name_of(topic) for topic in topics if topic.meaning in known]
-        rows = [_topic_row(topic) for topic in topics if topic.meaning not in known]
-        effects = [
-            (f'`{item.name}`', item.type.replace('/srv/', '/'), item.meaning) for item in services
-        ]
-        content = ('topic', 'type', 'content', 'queue'), rows
-        yield from _section(node, shared, content, (('service', 'type', 'effect'), effects))
-
-
-def _name_of(topic: Topic) -> str:
-    return f'`{topic.name}`{" (subscribed)" * topic.is_input}'
-
-
-def _topic_row(topic: Topic) -> tuple[str, ...]:
+def _topic_row(topic: Topic) -> Row:
     names = [f'`{name}`' for name in topic.joints or topic.axes]
     shown = names if len(names) < 4 else (names[0], '...', names[-1])
     quantities = f': {", ".join(topic.quantities)}' * bool(topic.joints)
     content = topic.meaning + f'; {", ".join(shown)}{quantities}' * bool(names)
     queue = f'{topic.depth}{", latched" * topic.is_latched}'
     queue += ', best effort' * (not topic.is_reliable)
-    return _name_of(topic), topic.type.replace('/msg/', '/'), content, queue
+    name = f'`{topic.name}`{" (subscribed)" * topic.is_input}'
+    return name, topic.type.replace('/msg/', '/'), content, queue
 
 
-def _section(
-    node: str, shared: list[str], *tables: tuple[tuple[str, ...], Sequence[tuple[str, ...]]]
-) -> Iterator[str]:
-    """Yield the head of a node, what it shares with the twin, and its tables that have rows."""
-    yield f'## {node}\n'
-    if shared:
-        yield f'As of the twin: {", ".join(shared)}.\n'
-    for head, rows in tables:
-        if rows:
-            for row in (head, ('---',) * len(head), *rows):
-                yield f'| {" | ".join(row)} |'
-            yield ''
+def _page(text: str, sections: Sections) -> Iterator[str]:
+    """Yield the head of each node, what it shares with the twin, and its tables with rows."""
+    yield text
+    of_twin = {row[2] for rows in sections[0][1].values() for row in rows}
+    for node, tables in sections:
+        yield f'## {node}\n'
+        known = set() if node == 'twin' else of_twin
+        if shared := [row[0] for rows in tables.values() for row in rows if row[2] in known]:
+            yield f'As of the twin: {", ".join(shared)}.\n'
+        for head, rows in tables.items():
+            if own := [row for row in rows if row[2] not in known]:
+                for row in (head, ('---',) * len(head), *own):
+                    yield f'| {" | ".join(row)} |'
+                yield ''
 
 
 if __name__ == '__main__':

@@ -39,12 +39,6 @@ def read_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
     Semicolons, tabs or commas separate cells, whichever the first line with data has, or else
     blanks. Lines without a value, comments after `#`, and the line `sep=;` of spreadsheets are
     skipped. A comma may be the decimal sign, in quotes if commas separate cells.
-
-    Examples
-    --------
-    >>> list(read_rows(['# a track', 't [s]; z [m]', '0,5; 1e-3']))
-    [(2, ['t [s]', 'z [m]']), (3, ['0.5', '1e-3'])]
-
     """
     separator = ''
     for number, line in enumerate(lines, 1):

@@ -10,7 +10,6 @@ error messages and for the order of requests.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from functools import lru_cache
 from itertools import pairwise
 import math
 from pathlib import Path
@@ -18,6 +17,7 @@ import re
 import textwrap
 from typing import Any, NamedTuple
 
+import numpy as np
 from soft_throw_ros.configuration.table import ParameterError, quote, Settings, Table, Value
 from soft_throw_ros.configuration.twin import TWIN
 from soft_throw_ros.configuration.yaml_file import read_yaml
@@ -112,7 +112,6 @@ def select(sources: Iterable[Source], node: str) -> dict[str, Source]:
     return {item.name: item for item in sources if _matches(item.node, node)}
 
 
-@lru_cache
 def _matches(pattern: str, node: str) -> bool:
     """Return whether a pattern of ROS matches the full name of a node."""
     regex = re.escape('/' + pattern.lstrip('/'))
@@ -141,11 +140,7 @@ def render(
 
 def _text(value: Value) -> str:
     """Return a value as a line of YAML; texts are quoted, so that none is read as a number."""
-    items = [
-        float(item) if isinstance(item, float) else item  # without the types of numpy
-        for item in (value if isinstance(value, tuple) else (value,))
-    ]
-    style = None
+    items, style = np.ravel(value).tolist(), None  # without the types of numpy
     if isinstance(items[0], str):  # only double quotes can hold a line end or a control character
         style = "'" if all(str(item).isprintable() for item in items) else '"'
     text = yaml.safe_dump(

@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""
-Table of all topics and services; nodes, recording and docs/topics.md read it.
-
-A new topic of the twin is one row of `TwinTopics` and the line in the node that fills the message.
-Publishers, the decoding of recorded messages and docs/topics.md follow from the row.
-"""
+"""Table of all topics and services; publishers, recording and docs/topics.md follow from it."""
 
 from __future__ import annotations
 
@@ -25,24 +20,14 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 NUMBER = 'std_msgs/msg/Float64'
 TEXT = 'std_msgs/msg/String'
 TRAJECTORY = 'trajectory_msgs/msg/JointTrajectory'
-TRIGGER = 'std_srvs/srv/Trigger'
 
 _SEVERAL = 10  # depth of a queue for bursts: more messages than are ever published at once
-_ONE_SECOND = 5000  # depth for one second of ticks at the highest rate
+_ONE_SECOND = 5000  # depth for one second of ticks or of measurements at the highest rate
 _OF_A_JOURNAL = 1000  # depth for four minutes; later subscribers start at the line of a throw
-_AFTER_A_STALL = 5000  # depth for one second of measurements, which may arrive at once
 
 
 def resolve(name: str, node: str) -> str:
-    """
-    Return the name of a topic or service of the node with the given full name.
-
-    Examples
-    --------
-    >>> resolve('~/phase', '/rig1/twin'), resolve('/diagnostics', '/rig1/twin')
-    ('/rig1/twin/phase', '/diagnostics')
-
-    """
+    """Return the name of a topic or service of the node with the given full name."""
     return f'{node}/{name.removeprefix("~/")}' if name.startswith('~/') else name
 
 
@@ -61,21 +46,15 @@ class Topic:
     axes: tuple[str, ...] = ()  # fields of the points of a cloud
     is_input: bool = False  # whether the node subscribes; otherwise it publishes
 
-    @property
-    def relative_name(self) -> str:
-        """Name relative to the node; an absolute name is unchanged."""
-        return self.name.removeprefix('~/')
-
     def at(self, node: str) -> Topic:
         """Return the same topic of a node with the given name."""
         return replace(self, name=resolve(self.name, node))
 
 
 class Service(NamedTuple):
-    """A service, described like a topic."""
+    """A service of the type `std_srvs/srv/Trigger`, described like a topic."""
 
     name: str
-    type: str  # noqa: A003
     meaning: str
 
 
@@ -142,7 +121,7 @@ class TwinTopics(NamedTuple):
     measured_joint_states: Topic = Topic(
         '~/measured_joint_states', JOINT_STATE,
         'Positions of the plate and optionally of the projectile, with the time of measurement as '
-        'stamp, at 2 to 10 kHz', depth=_AFTER_A_STALL, is_reliable=False, joints=JOINTS,
+        'stamp, at 2 to 10 kHz', depth=_ONE_SECOND, is_reliable=False, joints=JOINTS,
         quantities=('position',), is_input=True)
     plate_trajectory: Topic = Topic(
         '~/plate_trajectory', TRAJECTORY,
@@ -160,23 +139,25 @@ class RecorderTopics(NamedTuple):
     diagnostics: Topic = _diagnostics('Recorded and lost messages')
 
 
+TWIN_TOPICS = TwinTopics()
+_DEFAULT_TWIN = TwinTopics(*(topic.at('twin') for topic in TWIN_TOPICS))
+
+
 class RigTopics(NamedTuple):
     """Topics of the simulated rig."""
 
-    measured_joint_states: Topic = replace(
-        TwinTopics().measured_joint_states.at('twin'), is_input=False)
+    measured_joint_states: Topic = replace(_DEFAULT_TWIN.measured_joint_states, is_input=False)
     plate_trajectory: Topic = replace(
-        TwinTopics().plate_trajectory.at('twin'),
-        meaning='Motion that the plate plays, from the stamp on; periodic throws then stop',
-        is_input=True)
+        _DEFAULT_TWIN.plate_trajectory, is_input=True,
+        meaning='Motion that the plate plays, from the stamp on; periodic throws then stop')
 
 
 class CalibratorTopics(NamedTuple):
     """Topics of the calibrator for a twin with the default name."""
 
-    measured_joint_states: Topic = TwinTopics().measured_joint_states.at('twin')
-    throw_result: Topic = replace(TwinTopics().throw_result.at('twin'), is_input=True)
-    plate_trajectory: Topic = replace(TwinTopics().plate_trajectory.at('twin'), is_input=True)
+    measured_joint_states: Topic = _DEFAULT_TWIN.measured_joint_states
+    throw_result: Topic = replace(_DEFAULT_TWIN.throw_result, is_input=True)
+    plate_trajectory: Topic = replace(_DEFAULT_TWIN.plate_trajectory, is_input=True)
     diagnostics: Topic = _diagnostics('Result of the last identification')
 
 
@@ -184,31 +165,29 @@ class TwinServices(NamedTuple):
     """Services of the twin."""
 
     throw: Service = Service(
-        '~/throw', TRIGGER, 'Throw now; rejected during a throw, with the remaining time')
-    reset: Service = Service(
-        '~/reset', TRIGGER, 'Abort the throw, and return plate and projectile to rest')
+        '~/throw', 'Throw now; rejected during a throw, with the remaining time')
+    reset: Service = Service('~/reset', 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
-        '~/apply_recommendation', TRIGGER, 'Apply the recommended layer, amplitude or motion')
+        '~/apply_recommendation', 'Apply the recommended layer, amplitude or motion')
 
 
 class RecorderServices(NamedTuple):
     """Services of the recorder."""
 
-    start: Service = Service('~/start', TRIGGER, 'Start recording a new bag')
-    stop: Service = Service('~/stop', TRIGGER, 'Stop recording and finish the bag')
+    start: Service = Service('~/start', 'Start recording a new bag')
+    stop: Service = Service('~/stop', 'Stop recording and finish the bag')
 
 
 class ReplayServices(NamedTuple):
     """Services of the node that plays a bag."""
 
-    pause: Service = Service('~/pause', TRIGGER, 'Pause playback')
-    resume: Service = Service('~/resume', TRIGGER, 'Resume playback')
+    pause: Service = Service('~/pause', 'Pause playback')
+    resume: Service = Service('~/resume', 'Resume playback')
 
 
 VIEWER_DIAGNOSTICS = _diagnostics('Number of messages that are not shown')
 REPLAY_CLOCK = Topic(
     '/clock', 'rosgraph_msgs/msg/Clock', 'Time of the bag, with `--clock`', depth=_SEVERAL)
-TWIN_TOPICS = TwinTopics()
 RECORDER_TOPICS = RecorderTopics()
 RIG_TOPICS = RigTopics()
 CALIBRATOR_TOPICS = CalibratorTopics()

@@ -8,14 +8,12 @@ The library of layers: materials with sourced properties and their available thi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 import math
 from pathlib import Path
 import re
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from soft_throw_ros.configuration.table import number_of, ParameterError, quote, row
@@ -25,26 +23,25 @@ from soft_throw_ros.core.rig import Layer
 CUSTOM = 'custom'
 """Name of a layer that is in no library."""
 
-BOUNDS: Mapping[str, Mapping[str, Any]] = MappingProxyType({
-    'thickness': {'unit': 'm', 'low': 0.5e-3, 'high': 0.1},
-    'wave_speed': {'unit': 'm/s', 'low': 1.0, 'high': 200.0},
-    'density': {'unit': 'kg/m3', 'low': 50.0, 'high': 5000.0},
-    'diameter': {'unit': 'm', 'low': 1e-3, 'high': 0.2},
-    'loss_tangent': {'low': 0.0, 'high': 2.0},
-    'youngs_modulus': {'unit': 'Pa', 'low': 50.0, 'high': 2e8},
-})
-"""Unit, smallest and largest value of each property of a layer, as fields of `Entry`."""
+BOUNDS: Mapping[str, tuple[str, float, float]] = {
+    'thickness': ('m', 0.5e-3, 0.1),
+    'wave_speed': ('m/s', 1.0, 200.0),
+    'density': ('kg/m3', 50.0, 5000.0),
+    'diameter': ('m', 1e-3, 0.2),
+    'loss_tangent': ('', 0.0, 2.0),
+    'youngs_modulus': ('Pa', 50.0, 2e8),
+}
+"""Unit, smallest and largest value of each property of a layer."""
 
 _THINNEST_SHEET = 1e-4  # smallest thickness of a sheet [m]
 _MAX_SHEETS = 200  # sheets of a stack: the thickest layer has as many of half a millimetre [-]
 
-STACKED = ('layer.thickness', 'layer.wave_speed', 'layer.density', 'layer.loss_tangent')
-"""Parameters that each sheet of a stack and the whole stack have."""
+STACKED = ('thickness', 'wave_speed', 'density', 'loss_tangent')
+"""Properties that each sheet of a stack and the whole stack have."""
 
-# Properties in a library: of a stack, of every material, and all of a material
-_STACK = {'description', 'source', 'stack'}
-_MATERIAL = {'description', 'source', 'density', 'loss_tangent'}
-_ANY_MATERIAL = _MATERIAL | {*BOUNDS, 'thicknesses', 'is_ideal'} - {'thickness'}
+# Properties of a material in a library: those of every one, and all
+_REQUIRED = {'description', 'source', 'density', 'loss_tangent'}
+_ALLOWED = _REQUIRED | {*BOUNDS, 'thicknesses', 'is_ideal'} - {'thickness'}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +59,7 @@ class Material:
     @property
     def settings(self) -> dict[str, float | str]:
         """Parameters of the twin for a layer of this material."""
-        names = ('wave_speed', 'density', 'loss_tangent', *['diameter'] * bool(self.diameter))
+        names = (*STACKED[1:], *['diameter'] * bool(self.diameter))
         return {'layer.stack': '', **{f'layer.{name}': getattr(self, name) for name in names}}
 
     def layer_name(self, thickness: float) -> str:
@@ -93,24 +90,22 @@ def read_stack(text: str, materials: Callable[[], Mapping[str, Material]]) -> li
     return sheets
 
 
-def write_stack(sheets: Iterable[Layer]) -> str:
+def write_stack(sheets: Sequence[Layer]) -> str:
     """Write the sheets of a stack in numbers, with all their digits."""
     return ', '.join(
-        ' '.join(str(float(getattr(sheet, name.removeprefix('layer.')))) for name in STACKED)
-        for sheet in sheets
+        ' '.join(str(float(getattr(sheet, name))) for name in STACKED) for sheet in sheets
     )
 
 
 def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]]) -> Layer:
     """Read a sheet of a stack."""
     values: Sequence[Any] = words[1:]
-    names = ('wave_speed', 'density', 'loss_tangent')
     if len(words) == 2 and number_of(words[1]) is None:
         known = materials()
         if words[1] not in known:
             there = f'there are {", ".join(known)}'
             raise ParameterError(f'no material is named {quote(words[1])}; {there}')
-        values = [getattr(known[words[1]], name) for name in names]
+        values = [getattr(known[words[1]], name) for name in STACKED[1:]]
     elif len(words) not in (3, 4):
         raise ParameterError(
             'a sheet must be THICKNESS MATERIAL, or THICKNESS WAVE_SPEED DENSITY [LOSS_TANGENT], '
@@ -118,18 +113,19 @@ def _read_sheet(words: list[str], materials: Callable[[], Mapping[str, Material]
         )
     return Layer(
         thickness=_bounded('thickness', words[0], low=_THINNEST_SHEET),
-        **{name: _bounded(name, value) for name, value in zip(names, values, strict=False)},
+        **{key: _bounded(key, value) for key, value in zip(STACKED[1:], values, strict=False)},
     )
 
 
-def _bounded(name: str, value: Any, **bounds: float) -> Any:
+def _bounded(name: str, value: Any, low: float | None = None) -> Any:
     """Return a property of a layer as a number within its bounds, or refuse it."""
-    return row(name, 0.0, '', **{**BOUNDS[name], **bounds}).check(value)
+    unit, lowest, high = BOUNDS[name]
+    return row(name, 0.0, '', unit, low or lowest, high).check(value)
 
 
 def default_file() -> Path:
     """Return the path of the library that is installed with the package."""
-    return Path(str(resources.files('soft_throw_ros') / 'config' / 'layers.yaml'))
+    return Path(__file__).parents[1] / 'config' / 'layers.yaml'
 
 
 def library(path: str | Path = '') -> Library:
@@ -150,14 +146,10 @@ def _library(path: str, _changed_ns: int) -> Library:
         tree = read_yaml(file)
         if not tree:
             raise ParameterError(f'{file}: the file has no material')
-        stacks = [key for key, item in tree.items() if isinstance(item, dict) and 'stack' in item]
-        for name in sorted(tree, key=stacks.__contains__):  # materials first
+        for name, properties in tree.items():
             try:
-                _check_entry(name, tree[name], {*materials, *layers})
-                if name in stacks:
-                    layers[name] = stack_values(str(tree[name]['stack']), lambda: materials)
-                    continue
-                material = materials[name] = _material(name, tree[name])
+                material = _material(name, properties, {*materials, *layers})
+                materials[name] = material
                 if not material.thicknesses:
                     layers[name] = material.settings
                 for thickness in material.thicknesses:
@@ -165,21 +157,11 @@ def _library(path: str, _changed_ns: int) -> Library:
                     layers[material.layer_name(thickness)] = values
             except ParameterError as error:
                 raise ParameterError(f'{file}: {quote(name)}: {error}') from None
-    return Library(MappingProxyType(materials), MappingProxyType(layers))
+    return Library(materials, layers)
 
 
-def stack_values(
-    text: str, materials: Callable[[], Mapping[str, Material]]
-) -> dict[str, float | str]:
-    """Return the parameters that a stack sets: its sheets in numbers, and those of the whole."""
-    sheets = read_stack(text, materials)
-    stack = Layer.of_sheets(sheets)
-    values = {name: getattr(stack, name.removeprefix('layer.')) for name in STACKED}
-    return {'layer.stack': write_stack(sheets), **values}
-
-
-def _check_entry(name: object, values: Any, known: set[str]) -> None:
-    """Refuse an entry of a library with a wrong name, or wrong names of properties."""
+def _material(name: object, values: Any, known: set[str]) -> Material:
+    """Return the material of an entry of a library; a range has a value to compute with."""
     is_name = isinstance(name, str) and re.fullmatch(r'[A-Za-z0-9][A-Za-z0-9_.-]*', name)
     if not is_name or name == CUSTOM:
         raise ParameterError(
@@ -189,16 +171,11 @@ def _check_entry(name: object, values: Any, known: set[str]) -> None:
         raise ParameterError('there is a material or layer with this name already')
     if not isinstance(values, dict):
         raise ParameterError(f'must be PROPERTY: VALUE, got {quote(values)}')
-    required, allowed = (_STACK, _STACK) if 'stack' in values else (_MATERIAL, _ANY_MATERIAL)
-    if missing := required - values.keys():
+    if missing := _REQUIRED - values.keys():
         raise ParameterError(f'{", ".join(sorted(missing))} must be given')
-    if unknown := values.keys() - allowed:
-        name = quote(min(unknown, key=str))
-        raise ParameterError(f'a property must be one of {", ".join(sorted(allowed))}, got {name}')
-
-
-def _material(name: str, values: Mapping[str, Any]) -> Material:
-    """Return the material with the properties of an entry; a range has a value to compute with."""
+    if unknown := values.keys() - _ALLOWED:
+        rule = f'a property must be one of {", ".join(sorted(_ALLOWED))}'
+        raise ParameterError(f'{rule}, got {quote(min(unknown, key=str))}')
     if ('wave_speed' in values) == ('youngs_modulus' in values):
         raise ParameterError('either wave_speed or youngs_modulus must be given')
     numbers = {
@@ -212,4 +189,4 @@ def _material(name: str, values: Mapping[str, Any]) -> Material:
         raise ParameterError(f'thicknesses must be a list, got {quote(sizes)}')
     thicknesses = tuple(_bounded('thickness', item) for item in sizes)
     is_ideal = values.get('is_ideal') is True
-    return Material(name=name, thicknesses=thicknesses, is_ideal=is_ideal, **numbers)
+    return Material(name=str(name), thicknesses=thicknesses, is_ideal=is_ideal, **numbers)

@@ -200,12 +200,10 @@ def to_csv(motion: SampledMotion) -> str:
 
 def trajectory_points(motion: SampledMotion) -> list[dict[str, Any]]:
     """Return a motion as the fields of messages `trajectory_msgs/JointTrajectoryPoint`."""
+    names = ('positions', 'velocities', 'accelerations')
     points = []
-    for time, *state in np.column_stack([motion.times, motion.states]).tolist():
+    for time, state in zip(motion.times.tolist(), motion.states.tolist(), strict=True):
         seconds, nanoseconds = divmod(round(1e9 * time), 1_000_000_000)
-        names = ('positions', 'velocities', 'accelerations')
-        points.append({
-            **{name: [value] for name, value in zip(names, state, strict=True)},
-            'time_from_start': {'sec': seconds, 'nanosec': nanoseconds},
-        })
+        point = {name: [value] for name, value in zip(names, state, strict=True)}
+        points.append(point | {'time_from_start': {'sec': seconds, 'nanosec': nanoseconds}})
     return points

@@ -25,12 +25,11 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     names of links, but not of joints: RViz looks for the frames of `/tf` by the names of links.
     """
     settings: Settings = files.read(path, node=node, is_required=False)
-    diameter = settings['layer.diameter']
-    slice_thickness = settings['layer.thickness'] / _SLICES_PER_LAYER
+    diameter, thickness = settings['layer.diameter'], settings['layer.thickness']
     sizes = {
         'plate': (_PLATE_OVER_LAYER * diameter, None),
         'projectile': (diameter, settings['projectile.length']),
-        **dict.fromkeys(LAYER_JOINTS, (diameter, slice_thickness)),
+        **dict.fromkeys(LAYER_JOINTS, (diameter, thickness / _SLICES_PER_LAYER)),
     }
     names = dict(zip(JOINTS, joint_names(settings), strict=True))
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package

@@ -68,11 +68,6 @@ class Entry:
         return self.group == 'recommended'
 
     @property
-    def is_read_only(self) -> bool:
-        """Whether a request cannot change the parameter."""
-        return self.is_result or self.is_fixed
-
-    @property
     def is_of_rig(self) -> bool:
         """Whether a change waits for the next throw, because it ends the wave in the layer."""
         return self.group in ('engine', 'layer', 'projectile', 'gravity')
@@ -129,9 +124,8 @@ class Entry:
         """Return `value` as `convert` does; raise ParameterError if the rule does not allow it."""
         converted = None if self.is_result else self.convert(value)
         if converted is None:
-            is_long = isinstance(value, str) and len(value) > _MAX_TEXT
-            rule = f'at most {_MAX_TEXT} characters long' if is_long else self.rule
-            raise ParameterError(f'{self.name} must be {rule}, got {quote(value)}', self.name)
+            rule = f'must be {self.rule}, got {quote(value)}'
+            raise ParameterError(f'{self.name} {rule}', self.name)
         return converted
 
 

@@ -17,9 +17,9 @@ from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 
 _INSTALLED = library()
 
-_RIG = Rig()
+_STACKED = tuple(f'layer.{name}' for name in STACKED)
 # Parameters that the name of a layer may set, and the library that has the name
-_NAMED = (*STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
+_NAMED = (*_STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')  # of which one is 0
 
 JOINT_ROWS = tuple(
@@ -42,74 +42,62 @@ _ENTRIES = (
         'Publish the motion of `engine.motion_file` before each throw, for a controller; it '
         'begins and ends at rest at the same height, and `time_scale` is 1'),
     row('engine.command_lead', 0.2,
-        'Time from this message to the motion, at most a quarter of `throw.period`',
-        unit='s', low=0.01, high=10.0),
-    row('engine.frequency', _RIG.engine.frequency, 'Natural frequency f of the plate',
-        unit='Hz', low=1.0, high=1000.0),
-    row('engine.amplitude', _RIG.engine.amplitude, 'Height A at which the plate settles',
-        unit='m', low=1e-5, high=0.1),
-    row('engine.damping_ratio', _RIG.engine.damping_ratio,
-        'Damping ratio of the plate, unless the motion is harmonic', low=0.0, high=0.99),
+        'Time from this message to the motion, up to `throw.period` / 4', 's', 0.01, 10.0),
+    row('engine.frequency', Engine.frequency, 'Natural frequency of the plate', 'Hz', 1.0, 1000.0),
+    row('engine.amplitude', Engine.amplitude, 'Height A where the plate settles', 'm', 1e-5, 0.1),
+    row('engine.damping_ratio', Engine.damping_ratio,
+        'Damping ratio of the plate, unless the motion is harmonic', '', 0.0, 0.99),
     row('measured.smoothing_window', 2e-3,
-        'Smoothing window of a measured plate; half of it delays the events',
-        unit='s', low=1e-4, high=0.1),
-    row('measured.latency', 0.0, 'Time to wait for samples that arrive out of order',
-        unit='s', low=0.0, high=0.1),
-    row('measured.position_noise', 5e-6, 'Standard deviation of the measured heights',
-        unit='m', low=1e-9, high=1e-2),
-    row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps of samples',
-        unit='s', low=0.0, high=1e-3),
+        'Smoothing window of a measured plate; half of it delays the events', 's', 1e-4, 0.1),
+    row('measured.latency', 0.0, 'Time to wait for samples out of order', 's', 0.0, 0.1),
+    row('measured.position_noise', 5e-6, 'Standard deviation of the heights', 'm', 1e-9, 1e-2),
+    row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps', 's', 0.0, 1e-3),
     row('measured.residual_threshold', 1e-4,
-        'Rms residual beyond which the model is reported as wrong', unit='m', low=1e-7, high=1.0),
+        'Rms residual beyond which the model is reported as wrong', 'm', 1e-7, 1.0),
     row('layer.library', '',
         'File of materials besides those of `config/layers.yaml`, which describes the format',
         kind='the path of a file, or empty'),
     row('layer.name', 'gelatin_16.8mm',
         'Layer of the library, which sets the values of the layer; `custom` after other changes',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
-    row('layer.thickness', _RIG.layer.thickness, 'Thickness L_s', **BOUNDS['thickness']),
-    row('layer.wave_speed', _RIG.layer.wave_speed,
-        'Wave speed c_s; the modulus is density times its square', **BOUNDS['wave_speed']),
-    row('layer.density', _RIG.layer.density, 'Density rho_s of the layer', **BOUNDS['density']),
-    row('layer.diameter', _RIG.layer.diameter, 'Diameter of the layer', **BOUNDS['diameter']),
-    row('layer.loss_tangent', _RIG.layer.loss_tangent,
-        "Loss tangent of the layer at the plate's frequency", **BOUNDS['loss_tangent']),
+    row('layer.thickness', Layer.thickness, 'Thickness L_s', *BOUNDS['thickness']),
+    row('layer.wave_speed', Layer.wave_speed,
+        'Wave speed c_s; the modulus is density times its square', *BOUNDS['wave_speed']),
+    row('layer.density', Layer.density, 'Density rho_s of the layer', *BOUNDS['density']),
+    row('layer.diameter', Layer.diameter, 'Diameter of the layer', *BOUNDS['diameter']),
+    row('layer.loss_tangent', Layer.loss_tangent,
+        "Loss tangent of the layer at the plate's frequency", *BOUNDS['loss_tangent']),
     row('layer.stack', '',
         'Sheets of the layer from the plate up, separated by commas: each is thickness and '
         'material, or thickness, wave speed, density and perhaps loss tangent, as it is stored; '
         'the values of the layer then describe the whole stack',
         kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
-    row('layer.stress_strain_law', _RIG.layer.stress_strain_law,
+    row('layer.stress_strain_law', Layer.stress_strain_law,
         'Stress over strain: in proportion, or as in a neo-Hookean rod, which stiffens where it '
         'is compressed', choices=STRESS_STRAIN_LAWS),
-    row('layer.loss', _RIG.layer.loss,
+    row('layer.loss', Layer.loss,
         'Loss tangent over frequency: growing (Kelvin and Voigt), or constant, as in gels',
         choices=LOSSES),
-    row('projectile.mass', _RIG.projectile.mass, 'Mass m of the projectile',
-        unit='kg', low=1e-5, high=1.0),
-    row('projectile.length', _RIG.projectile.length, 'Length L_r of the projectile, for pictures',
-        unit='m', low=1e-4, high=0.5),
-    row('gravity', _RIG.gravity, 'Gravity, towards the plate', unit='m/s2', low=0.0, high=30.0),
+    row('projectile.mass', Projectile.mass, 'Mass m of the projectile', 'kg', 1e-5, 1.0),
+    row('projectile.length', Projectile.length, 'Length L_r of the projectile, for pictures',
+        'm', 1e-4, 0.5),
+    row('gravity', Rig.gravity, 'Gravity, towards the plate', 'm/s2', 0.0, 30.0),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
-        unit='s', low=0.05, high=3600.0, or_zero=True),
-    row('throw.max_events', 20, 'Contacts after which a throw is over', low=1, high=1000),
-    row('rate.state', 1000.0, 'Rate of `~/joint_states`', unit='Hz', low=10.0, high=5000.0),
-    row('rate.field', 50.0, 'Rate of `~/layer/joint_states`, at most rate.state',
-        unit='Hz', low=0.1, high=1000.0),
+        's', 0.05, 3600.0, or_zero=True),
+    row('throw.max_events', 20, 'Contacts after which a throw is over', '', 1, 1000),
+    row('rate.state', 1000.0, 'Rate of `~/joint_states`', 'Hz', 10.0, 5000.0),
+    row('rate.field', 50.0, 'Rate of `~/layer/joint_states`, up to rate.state', 'Hz', 0.1, 1000.0),
     *JOINT_ROWS,
-    row('time_scale', 1.0, 'Time of the rig over time of the clock; 0.01 is slow motion',
-        low=1e-4, high=10.0),
+    row('time_scale', 1.0, 'Rig time over clock time; 0.01 is slow motion', '', 1e-4, 10.0),
     row('uncertainty.wave_speed', 0.3,
         'Largest error of the wave speed; all errors up to it are equally likely',
-        unit='m/s', low=0.0, high=100.0),
-    row('uncertainty.thickness', 0.1e-3, 'Largest error of the thickness, likewise',
-        unit='m', low=0.0, high=0.05),
-    row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise',
-        low=0.0, high=0.9),
+        'm/s', 0.0, 100.0),
+    row('uncertainty.thickness', 0.1e-3, 'Largest error of thickness, likewise', 'm', 0.0, 0.05),
+    row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise', '', 0.0, 0.9),
     row('uncertainty.frequency', 0.1, 'Largest error of the frequency, also of a measured plate',
-        unit='Hz', low=0.0, high=500.0),
+        'Hz', 0.0, 500.0),
     row('uncertainty.damping_ratio', 0.003, 'Largest error of the damping ratio, likewise',
-        low=0.0, high=0.5),
+        '', 0.0, 0.5),
     row('recommendation.objective', 'peak',
         'Goal: the most energy per throw, the most in the worst case of the uncertainties, the '
         'most in the worst of several throws, or the smallest amplitude that reaches a target',
@@ -118,32 +106,28 @@ _ENTRIES = (
         'Properties that may change, except when aiming: thickness or wave speed of the layer, '
         'both, the layer for one of the library, or the motion of the plate',
         choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
-    row('recommendation.plate_speed', 0.0,
-        'Largest speed of a designed motion; 0 is that of the motion now',
-        unit='m/s', low=1e-3, high=100.0, or_zero=True),
+    row('recommendation.plate_speed', 0.0, 'Largest speed of a designed motion; 0 is that of now',
+        'm/s', 1e-3, 100.0, or_zero=True),
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
-        unit='m/s2', low=0.1, high=1e6, or_zero=True),
-    row('recommendation.plate_travel', 0.0,
-        'Largest distance from its lowest to its highest position, likewise',
-        unit='m', low=1e-5, high=1.0, or_zero=True),
-    row('recommendation.thickness_min', 1e-3, 'Thinnest layer', **BOUNDS['thickness']),
-    row('recommendation.thickness_max', 50e-3, 'Thickest layer', **BOUNDS['thickness']),
-    row('recommendation.wave_speed_min', 1.0, 'Slowest wave', **BOUNDS['wave_speed']),
-    row('recommendation.wave_speed_max', 50.0, 'Fastest wave', **BOUNDS['wave_speed']),
+        'm/s2', 0.1, 1e6, or_zero=True),
+    row('recommendation.plate_travel', 0.0, 'Largest distance between its extremes, likewise',
+        'm', 1e-5, 1.0, or_zero=True),
+    row('recommendation.thickness_min', 1e-3, 'Thinnest layer', *BOUNDS['thickness']),
+    row('recommendation.thickness_max', 50e-3, 'Thickest layer', *BOUNDS['thickness']),
+    row('recommendation.wave_speed_min', 1.0, 'Slowest wave', *BOUNDS['wave_speed']),
+    row('recommendation.wave_speed_max', 50.0, 'Fastest wave', *BOUNDS['wave_speed']),
     row('recommendation.max_strain', 0.0, 'Largest strain; 0 does not limit it',
-        low=1e-3, high=10.0, or_zero=True),
-    row('recommendation.max_acceleration', 0.0,
-        'Largest acceleration of the projectile; 0 does not limit it',
-        unit='m/s2', low=1.0, high=1e6, or_zero=True),
+        '', 1e-3, 10.0, or_zero=True),
+    row('recommendation.max_acceleration', 0.0, 'Largest acceleration of the projectile, likewise',
+        'm/s2', 1.0, 1e6, or_zero=True),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
-        unit='kg', low=1e-5, high=1.0, max_length=16),
+        'kg', 1e-5, 1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
-        unit='Hz', low=1.0, high=1000.0, max_length=16),
+        'Hz', 1.0, 1000.0, max_length=16),
     row('recommendation.target_height', 0.1, 'Rise of the projectile to aim at; 0 aims at a speed',
-        unit='m', low=1e-4, high=1000.0, or_zero=True),
-    row('recommendation.target_speed', 0.0,
-        'Speed of the last release to aim at; 0 aims at a height',
-        unit='m/s', low=1e-3, high=200.0, or_zero=True),
+        'm', 1e-4, 1000.0, or_zero=True),
+    row('recommendation.target_speed', 0.0, 'Speed of the last release; 0 aims at a height',
+        'm/s', 1e-3, 200.0, or_zero=True),
     row('recommended.layer', '', 'Layer to pick from the library'),
     row('recommended.thickness', math.nan, 'Best thickness', unit='m'),
     row('recommended.wave_speed', math.nan, 'Best wave speed', unit='m/s'),
@@ -171,7 +155,10 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
             raise ParameterError(f'{name} {rule}, got {quote(value)}', name)
         return known[value]
     if name == 'layer.stack' and value:
-        numbers = layers.stack_values(value, lambda: library(after['layer.library']).materials)
+        sheets = layers.read_stack(value, lambda: library(after['layer.library']).materials)
+        stack = Layer.of_sheets(sheets)
+        numbers = {f'layer.{key}': getattr(stack, key) for key in STACKED}
+        numbers['layer.stack'] = layers.write_stack(sheets)
         return {**numbers, **_custom_layer({**after, **numbers})}
     if name == motions.PARAMETER:
         if value:
@@ -189,7 +176,7 @@ def imply(settings: Settings, name: str, value: Any) -> Settings:
     if name == 'engine.damping_ratio' and value and settings.get('engine.motion') == 'harmonic':
         return {'engine.motion': 'underdamped'}
     if name in _NAMED:
-        ended = {'layer.stack': ''} if name in STACKED and settings['layer.stack'] else {}
+        ended = {'layer.stack': ''} if name in _STACKED and settings['layer.stack'] else {}
         return {**ended, **_custom_layer({**after, **ended})}
     return {}
 
@@ -227,16 +214,10 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
     Make the rig that complete settings describe; ParameterError if a file cannot be read.
 
     `motion_of` returns the motion of the plate by the path of its file.
-
-    Examples
-    --------
-    >>> rig_of(TWIN.defaults()) == Rig()
-    True
-
     """
     return Rig(
         engine=_engine(settings, motion_of),
-        layer=layer_of(settings),
+        layer=_layer(settings),
         projectile=Projectile(**_values_of(Projectile, settings)),
         gravity=settings['gravity'],
     )
@@ -248,16 +229,14 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     kind, path = settings['engine.motion'], settings.get(motions.PARAMETER)
     if kind == 'harmonic':
         return replace(engine, damping_ratio=0.0)
-    if kind == 'underdamped' or (kind == 'measured' and not path):
-        return engine
-    if not path:
+    if kind == 'file' and not path:
         rule = f"needs {motions.PARAMETER} (--motion-file), got ''"
         raise ParameterError(f"engine.motion 'file' {rule}", motions.PARAMETER)
-    return replace(engine, motion=motion_of(path))
+    return replace(engine, motion=motion_of(path)) if path and kind != 'underdamped' else engine
 
 
-def layer_of(settings: Settings) -> Layer:
-    """Make the layer that complete settings describe."""
+def _layer(settings: Settings) -> Layer:
+    """Make the layer, of one material or of sheets."""
     layer = Layer(**_values_of(Layer, settings))
     if not settings['layer.stack']:
         return layer
@@ -283,7 +262,7 @@ def rig_values(rig: Rig) -> dict[str, Scalar]:
         for group in ('engine', 'layer', 'projectile')
         for name, value in vars(getattr(rig, group)).items() if name not in ('motion', 'parts')
     }
-    stack = layers.write_stack(rig.layer.parts) if rig.layer.parts else ''
+    stack = layers.write_stack(rig.layer.parts)
     return {**values, 'layer.stack': stack, 'gravity': rig.gravity}
 
 

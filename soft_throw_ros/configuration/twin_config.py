@@ -20,8 +20,7 @@ from soft_throw_ros.storage.message import SECOND
 
 T = TypeVar('T')
 
-_START_SPEED = 0.1
-"""Speed at which a measured plate has started a throw, over the peak speed by `engine.*`. [-]"""
+_START_SPEED = 0.1  # speed at which a throw has started, over the peak speed by `engine.*` [-]
 
 BOUND_PER_DEVIATION = math.sqrt(3.0)
 """Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
@@ -70,7 +69,7 @@ def _value(name: str, _type: type[T]) -> T:
 
 @dataclass(frozen=True, kw_only=True)
 class TwinConfig:
-    """The configuration of the twin; requests for recommendations are in `design.requests`."""
+    """The configuration of the twin; `design` reads that of its requests from the settings."""
 
     settings: Settings  # complete
     rig: Rig
@@ -119,18 +118,11 @@ class TwinConfig:
             damping_error=self.settings['uncertainty.damping_ratio'] / BOUND_PER_DEVIATION,
         )
 
-    @classmethod
-    def from_settings(
-        cls, settings: Settings, motion_of: motions.MotionSource = motions.read
-    ) -> TwinConfig:
-        """Make the configuration that complete settings describe, see `rig_of`."""
-        return cls(settings=settings, rig=rig_of(settings, motion_of))
-
     def change(
-        self, values: Settings, motion_of: motions.MotionSource = motions.read
+        self, settings: Settings, motion_of: motions.MotionSource = motions.read
     ) -> TwinConfig:
-        """Return the configuration after changes; a rig whose parameters stay is kept."""
-        settings = {**self.settings, **values}
-        if all(settings[name] == self.settings[name] for name in RIG_PARAMETERS):
-            return TwinConfig(settings=settings, rig=self.rig)
-        return self.from_settings(settings, motion_of)
+        """Return the configuration of other settings; a rig whose parameters stay is kept."""
+        is_same = all(settings[name] == self.settings[name] for name in RIG_PARAMETERS)
+        return TwinConfig(
+            settings=settings, rig=self.rig if is_same else rig_of(settings, motion_of)
+        )

@@ -11,8 +11,7 @@ from soft_throw_ros.configuration.table import ParameterError
 from soft_throw_ros.storage.regular_file import read_regular_file
 import yaml
 
-_MAX_BYTES = 1 << 18
-"""Largest size of a YAML file, 30 times the installed ones; PyYAML reads it in seconds. [byte]"""
+_MAX_BYTES = 1 << 18  # 30 times the installed files; PyYAML reads them in seconds [byte]
 
 
 def read_yaml(path: str | Path) -> dict[Any, Any]:

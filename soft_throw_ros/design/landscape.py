@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Ejection phase and energy transfer over any two parameters of a rig.
+Ejection phase and energy transfer of first releases over any two parameters of a rig.
 
 Notes
 -----
@@ -24,12 +24,11 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-import contextlib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 import functools
 from pathlib import Path
-from typing import get_args, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,13 +36,10 @@ from scipy.io import netcdf_file
 import soft_throw_ros
 from soft_throw_ros.configuration import rig_values, TWIN
 from soft_throw_ros.core import checks
-from soft_throw_ros.core.batch import ThrowUnresolvedError
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.core.throw import rig_with, simulate, throw_many
+from soft_throw_ros.core.throw import throw_many
 
 Floats = NDArray[np.float64]
-
-Release = Literal['first', 'last']
 
 
 class QuantityLabel(NamedTuple):
@@ -108,7 +104,6 @@ class Landscape:
     axes: Mapping[str, Floats]  # values of the two axes, of shapes (n,) and (m,) [SI]
     ejection_phase: Floats  # shape (n, m); NaN where the projectile does not leave [-]
     energy_transfer: Floats  # likewise [-]
-    release: Release  # release that counts, the first or the last
 
     @property
     def optimum(self) -> HighestPoint | None:
@@ -131,19 +126,18 @@ class Landscape:
 
     def save(self, path: Path) -> None:
         """Write NetCDF 3, which xarray and MATLAB read."""
-        axes = {name.replace('.', '_'): values for name, values in self.axes.items()}
-        labels = {**{name.replace('.', '_'): AXES[name] for name in self.axes}, **RESULTS}
+        names = [name.replace('.', '_') for name in self.axes]
+        labels = [*(AXES[name] for name in self.axes), *RESULTS.values()]
+        arrays = [*self.axes.values(), *(getattr(self, name) for name in RESULTS)]
         with netcdf_file(path, 'w', mmap=False, version=2) as data:
             data.source = f'soft_throw_ros {soft_throw_ros.__version__}'
-            data.release = self.release
             for name, value in rig_values(self.rig).items():
                 setattr(data, name.replace('.', '_'), value)
-            for name, values in axes.items():
+            for name, values in zip(names, arrays, strict=False):
                 data.createDimension(name, values.size)
-            for name, label in labels.items():
-                along = [name] if name in axes else [*axes]
-                variable = data.createVariable(name, 'f8', along)
-                variable[:] = axes[name] if name in axes else getattr(self, name)
+            for name, label, values in zip([*names, *RESULTS], labels, arrays, strict=True):
+                variable = data.createVariable(name, 'f8', [name] if values.ndim == 1 else names)
+                variable[:] = values
                 variable.long_name, variable.units = label.meaning, label.unit or '1'
 
 
@@ -151,7 +145,6 @@ def compute_landscape(
     rig: Rig,
     axes: Mapping[str, ArrayLike],
     *,
-    release: Release = 'first',
     run: Callable[..., Iterable[Floats]] = map,
 ) -> Landscape:
     r"""
@@ -161,9 +154,7 @@ def compute_landscape(
 
     Notes
     -----
-    First releases are exact to 1e-9 from a lossless layer, and to 1e-4 from others. Last releases
-    are followed in steps. Where a projectile chatters on the layer, neighbouring points may differ
-    at random.
+    First releases are exact to 1e-9 from a lossless layer, and to 1e-4 from others.
 
     Examples
     --------
@@ -178,31 +169,25 @@ def compute_landscape(
     (0.015, 9.0)
 
     """
-    checked = _check(rig, axes, release)
+    checked = _check(rig, axes)
     first, second = checked.values()
     shape = (first.size, second.size)
     changes = _changes(rig, dict(zip(checked, (first[:, None], second), strict=True)))
     cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
-    compute = functools.partial(_compute, rig, release, tuple(changes))
+    compute = functools.partial(_compute, rig, tuple(changes))
     has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
-    is_fast = rig.engine.motion is None and not has_cells
-    size = {'first': 1 << 16 if is_fast else 256, 'last': 32 if is_fast else 8}[release]
+    size = 256 if rig.engine.motion or has_cells else 1 << 16
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
     phase, transfer = np.hstack(list(run(compute, blocks))).reshape(len(RESULTS), *shape)
-    return Landscape(
-        rig=rig, axes=checked, ejection_phase=phase, energy_transfer=transfer, release=release
-    )
+    return Landscape(rig=rig, axes=checked, ejection_phase=phase, energy_transfer=transfer)
 
 
-def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[str, Floats]:
+def _check(rig: Rig, axes: Mapping[str, ArrayLike]) -> dict[str, Floats]:
     """Return the values of two axes of a rig, or refuse them."""
-    if release not in get_args(Release):
-        raise ValueError(f"release must be 'first' or 'last', got {release!r}")
     if len(axes) != 2:
         raise ValueError(f'a landscape has two axes, got {", ".join(axes) or "none"}')
-    for name in axes:
-        if name not in AXES:
-            raise ValueError(f'unknown axis {name!r}; choose from {", ".join(AXES)}')
+    if unknown := [name for name in axes if name not in AXES]:
+        raise ValueError(f'unknown axis {unknown[0]!r}; choose from {", ".join(AXES)}')
     if {*axes} in ({'x', 'mu'}, {'C', 'kappa'}):
         raise ValueError(f'the axes {" and ".join(axes)} are not independent; choose others')
     if {*axes} & {*_BESIDE_RATIOS[:4]} and not {*axes} <= {*_BESIDE_RATIOS}:
@@ -210,8 +195,6 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike], release: Release) -> dict[st
         raise ValueError(f'a ratio can be combined with {names}, got {" and ".join(axes)}')
     if rig.engine.motion and 'engine.damping_ratio' in axes:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
-    if rig.layer.parts and release == 'last':
-        raise ValueError('layer.stack needs the first release, got the last one')
     checked = {}
     for name, values in axes.items():
         array = checks.require_all(name, values, 'not_negative')
@@ -252,18 +235,9 @@ def _changes(rig: Rig, along: Mapping[str, Floats]) -> dict[str, Floats]:
     return {**changes, 'thickness': thickness, 'density': density}
 
 
-def _compute(rig: Rig, release: Release, names: Sequence[str], cases: Floats) -> Floats:
+def _compute(rig: Rig, names: tuple[str, ...], cases: Floats) -> Floats:
     """Compute a block of throws; on its own, so that other processes find it by name."""
-    if release == 'first':
-        changes = dict(zip(names, cases, strict=True))
-        throws = throw_many(rig, changes)
-        frequency = changes.get('frequency', rig.engine.frequency)
-        return np.stack([throws.ejection_time * frequency, throws.energy_transfer])
-    results = np.full((len(RESULTS), cases.shape[1]), np.nan)
-    for n, case in enumerate(cases.T.tolist()):
-        changed = rig_with(rig, dict(zip(names, case, strict=True)))
-        with contextlib.suppress(ThrowUnresolvedError):  # held, too light, or chattering for ever
-            throw = simulate(changed)
-            phase = throw.last_release.time * changed.engine.frequency
-            results[:, n] = phase, (throw.last_release.velocity / throw.peak_plate_speed) ** 2
-    return results
+    changes = dict(zip(names, cases, strict=True))
+    throws = throw_many(rig, changes)
+    frequency = changes.get('frequency', rig.engine.frequency)
+    return np.stack([throws.ejection_time * frequency, throws.energy_transfer])

@@ -40,13 +40,13 @@ Where the score is below the third argument, any number between them may be retu
 """
 
 NEAR = 0.1  # part of the highest score that a layer may lack to be searched near [-]
+EQUAL = 1e-9  # relative difference of equal scores: the present or the thinner layer wins [-]
 
 _POINTS = (9, 512)  # least and most grid points along an axis that is free
 _FIRST_POINTS = 4  # grid points computed before the others, to exclude most of them
 _SEARCHES = 4  # pattern searches, each from a local maximum of the grid
 _MAX_ROUNDS = 40  # of a pattern search, which usually takes 6 to 15
 _SHRINK = 0.3  # size of the next patch over that of a patch with its best point inside [-]
-_EQUAL = 1e-9  # relative difference of equal scores; then the thinner layer is chosen [-]
 _ROUNDING = 1e-13  # relative difference of scores for which a patch does not move [-]
 
 _PATCH = np.linspace(-1.0, 1.0, 7)
@@ -127,7 +127,7 @@ def maximise(
         points, values = _pattern_search(at, points, values, spacing, (low, high), tolerance)
     if not values.max(initial=0.0) > needed:
         return None
-    is_best = values >= (1.0 - _EQUAL) * values.max()
+    is_best = values >= (1.0 - EQUAL) * values.max()
     thinnest = np.flatnonzero(is_best)[points[is_best, 0].argmin()]
     thickness, wave_speed = np.clip(np.exp(points[thinnest]), *np.transpose(box)).tolist()
     return Optimum(thickness, wave_speed, float(values[thinnest]))

@@ -6,34 +6,24 @@ Find the motion of the plate that throws best within the limits of an actuator.
 Notes
 -----
 While the projectile lies on the layer, the rig is linear in the plate's motion and invariant in
-time. A motion is a sum of short pulses of the plate's velocity. The stepper computes the
-velocities, forces and strains of one pulse; those of all pulses add up. The largest speed of the
-projectile at a release time T is therefore a linear programme in the heights of the pulses, whose
-optimum is global [1]_. Its constraints are a pushing contact force until T, and limits of the
-plate's speed, acceleration and travel, of the layer's strain, and of the projectile's
-acceleration. The speed grows with T, since the plate may wait before it starts; the shortest T
-with nearly the speed of the longest is used.
+time. A motion is a sum of short pulses of the plate's velocity: quadratic B-splines, whose heights
+bound velocity and acceleration at all times. The stepper computes the response to one pulse; those
+of all pulses add up. The largest speed of the projectile at a release time T is therefore a linear
+programme in the heights of the pulses, whose optimum is global [1]_. Its constraints are a pushing
+contact force until T, and limits of the plate's speed, acceleration and travel, of the layer's
+strain, and of the projectile's acceleration. Few limits of the strain are active, so the programme
+has only those that an earlier solution exceeded. The speed grows with T, since the plate may wait
+before it starts; the shortest T with nearly the speed of the longest is used.
 
-The strain is limited at several heights of the layer at all times. Most limits never become
-active, so the programme begins without limits of the strain, and adds the limits that its solution
-exceeds, until the solution keeps all limits.
-
-Pulses are quadratic B-splines. Their heights bound velocity and acceleration at all times.
-The height of the plate is a cubic spline from rest to rest, with knots at whole nanoseconds, the
-resolution of trajectory messages. A quintic then leads the plate back to its first height. The
-exact stepper simulates the throw to its end. A motion that meets the projectile again is rejected,
-and one that slightly exceeds a limit of the layer or the projectile is scaled down.
-
-Loss and stacks are linear, too. For a neo-Hookean layer the programme uses the linear layer of
-the same modulus at rest, but the simulation uses the neo-Hookean layer. Programmes are solved for
-several times of release, and the motion with the best simulated throw is chosen.
-
-A rig that differs by the uncertainties may throw early, where the force nearly ends. If a motion
-loses more than 7 % of the speed so, it is designed once more, with a pushing contact force on the
-slowest and on the fastest layer and projectile as well.
+For a neo-Hookean layer the programme uses the linear layer of the same modulus at rest. The
+stepper simulates the motions for several times of release, with the layer itself, and the best
+throw is chosen. A rig that differs by the uncertainties may throw early, where the force nearly
+ends. If a motion loses more than 7 % of the speed so, it is designed once more, with a pushing
+contact force on the slowest and on the fastest layer and projectile as well.
 
 A wave that leaves the plate later than one crossing time before T cannot reach the projectile
-before the release; from then on the plate brakes.
+before the release; from then on the plate brakes. A quintic leads it back to its first height. The
+knots are at whole nanoseconds, the resolution of trajectory messages.
 
 References
 ----------
@@ -45,11 +35,11 @@ References
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,14 +57,10 @@ from soft_throw_ros.core.throw import (
     Throw,
     throw_many,
 )
-from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
+from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow, Uncertainties
 from soft_throw_ros.design.score import Limits
-from soft_throw_ros.design.uncertainty import Uncertainties
 
 Floats = NDArray[np.float64]
-
-Changes: TypeAlias = Mapping[str, float]
-"""Changes to another rig, as for `rig_with`."""
 
 _COARSE, _FINE = (12, 120), (64, 300)  # pulses per crossing of the wave, and until T at most
 _FINER = 2  # times per pulse at which the layer has to push the projectile
@@ -258,7 +244,7 @@ def _best_throw(
     rig: Rig,
     plate: PlateLimits,
     loads: Limits,
-    others: Sequence[Changes],
+    others: Sequence[Mapping[str, float]],
     cancelled: Cancelled | None,
 ) -> Throw:
     """Return the throw of the best motion, which other rigs throw nearly as fast."""
@@ -269,9 +255,10 @@ def _best_throw(
         check_cancelled(cancelled)
         return coarse.solve(time)[1]
 
-    def throw_at(time: float, others: Sequence[Changes] = ()) -> Throw | None:
+    def throw_at(time: float, others: Sequence[Mapping[str, float]] = ()) -> Throw | None:
         check_cancelled(cancelled)
-        fine = _Programme(rig, plate, loads, time, coarse=coarse, others=others)
+        rigs = [rig_with(rig, change) for change in others]
+        fine = _Programme(rig, plate, loads, time, coarse=coarse, others=rigs)
         pulses, _ = fine.solve(time)
         return pulses and _follow(rig, pulses, loads, cancelled)
 
@@ -318,11 +305,7 @@ def _whole_ns(time: float) -> float:
 def _follow(
     rig: Rig, pulses: Pulses, loads: Limits, cancelled: Cancelled | None
 ) -> Throw | None:
-    """
-    Simulate a throw to its end with a motion, scaled down as far as the loads require.
-
-    It is None if the projectile is not thrown, or meets the layer again before it comes down.
-    """
+    """Return the throw by a motion, scaled down for the loads; None unless it is thrown once."""
     for _ in range(_SCALINGS):
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
@@ -340,12 +323,10 @@ def _follow(
 
 
 class _Programme:
-    """
-    The linear programmes for times of release up to a largest one.
+    """The linear programmes for times of release up to a largest one."""
 
-    The unknowns are the control points of the height over speed and step. Their differences are
-    pulses over speed, whose differences bound the acceleration.
-    """
+    # The unknowns are the control points of the height over speed and step. Their differences are
+    # pulses over speed, whose differences bound the acceleration.
 
     def __init__(
         self,
@@ -355,7 +336,7 @@ class _Programme:
         longest: float,
         *,
         coarse: _Programme | None = None,
-        others: Sequence[Changes] = (),
+        others: Iterable[Rig] = (),
     ) -> None:
         self._rig, self._limits, self._loads, self._is_fine = rig, limits, loads, bool(coarse)
         per_crossing, max_pulses = _FINE if coarse else _COARSE
@@ -366,11 +347,11 @@ class _Programme:
         self._velocity = states[::_FINER, PROJECTILE_VELOCITY]
         self._strains = (strains[::_FINER] - strains[0]).T
         self._static_strains = strains[0] * (rig.gravity / self._gravity)
-        self._forces = [(rig, states[:, PROJECTILE_FORCE])]
-        for other in (rig_with(rig, change) for change in others):
-            self._forces.append((other, self._responses(other)[0][:, PROJECTILE_FORCE]))
+        responses = [(rig, states)]
+        responses += [(other, self._responses(other)[0]) for other in others]
+        self._forces = [(other, states[:, PROJECTILE_FORCE]) for other, states in responses]
+        # strains that solutions exceeded, by their height and steps before the release
         self._exceeded = np.zeros(self._strains.shape, bool)
-        """Strains that solutions exceeded, by their height and steps before the release."""
         if coarse:
             heights, steps = coarse._exceeded.nonzero()
             steps = np.rint(steps * coarse._step / self._step).astype(int)

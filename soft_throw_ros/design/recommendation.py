@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Recommend the layer of a rig that throws best by an objective.
+Recommend the layer of a rig that throws best by an objective, and solve requests of the twin.
 
-The first release counts, because it is more predictable than later ones. The search is described
-in `soft_throw_ros.design.maximise`.
+The first release counts, because it is more predictable than later ones.
 """
 
 from __future__ import annotations
@@ -17,14 +16,22 @@ from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.configuration.layers import Material
+from soft_throw_ros.configuration import rig_of, Settings
+from soft_throw_ros.configuration.layers import library, Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
 from soft_throw_ros.core.throw import SEARCH_CELLS
-from soft_throw_ros.design.maximise import Box, maximise, NEAR, Optimum
-from soft_throw_ros.design.prediction import gain_text, predict, PredictedThrow
-from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score
-from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
+from soft_throw_ros.design.aiming import Aim, aim
+from soft_throw_ros.design.maximise import Box, EQUAL, maximise, NEAR, Optimum
+from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
+from soft_throw_ros.design.prediction import (
+    gain_text,
+    predict,
+    PredictedThrow,
+    stuck_fraction,
+    Uncertainties,
+)
+from soft_throw_ros.design.score import Limits, Objective, peak, robust, Score, versatile
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +44,6 @@ MAX_STUCK_FRACTION = 0.05
 """Share of throws without a release, within the uncertainties, of a layer to recommend. [-]"""
 
 _LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
-_EQUAL = 1e-9  # relative difference of equal scores; then the present layer is kept [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
 _STRONG_GRAVITY = 0.2  # over the largest acceleration of the plate; beyond, maxima are narrow [-]
 _HOLDING_GRAVITY = 4.0  # likewise; beyond, no layer is searched for: none throws above 3.1 [-]
@@ -116,6 +122,52 @@ class Recommendation(PredictedThrow):
         return super().values() | scores
 
 
+RequestResult: TypeAlias = Recommendation | Aim | MotionDesign
+
+
+def solve_request(
+    settings: Settings, *, rig: Rig | None = None, cancelled: Cancelled | None = None
+) -> RequestResult:
+    """
+    Recommend a layer or a motion, or aim, by the complete settings of the twin.
+
+    `rig` is the rig that the settings describe, if it exists already. A ValueError has the reason
+    why a request is impossible; SearchCancelledError follows when `cancelled` returns True.
+    """
+    rig, limits = rig or rig_of(settings), Limits.from_settings(settings)
+    request = {name.removeprefix('recommendation.'): value for name, value in settings.items()}
+    uncertainties = Uncertainties.from_settings(settings)
+    if request['objective'] == 'aim':
+        height, speed = request['target_height'] or None, request['target_speed'] or None
+        return aim(rig, height=height, speed=speed, limits=limits, cancelled=cancelled)
+    if request['vary'] == 'motion':
+        if request['objective'] != 'peak':
+            rule = "recommendation.vary 'motion' is for recommendation.objective 'peak' alone"
+            raise ValueError(f'{rule}, got {request["objective"]!r}')
+        now = vars(PlateLimits.of(rig.engine))
+        plate = PlateLimits(**{name: request.get(f'plate_{name}') or now[name] for name in now})
+        return design_motion(
+            rig, plate, limits=limits, uncertainties=uncertainties, cancelled=cancelled
+        )
+    objectives: dict[str, Objective] = {
+        'peak': peak,
+        'robust': partial(robust, uncertainties=uncertainties),
+        'versatile': partial(
+            versatile, masses=request['masses'], frequencies=request['frequencies']
+        ),
+    }
+    is_from_library = request['vary'] == 'library'
+    return recommend(
+        rig,
+        vary=request['vary'],
+        objective=objectives[request['objective']],
+        limits=limits,
+        materials=library(settings['layer.library']).materials if is_from_library else None,
+        uncertainties=uncertainties,
+        cancelled=cancelled,
+    )
+
+
 def recommend(
     rig: Rig,
     *,
@@ -160,11 +212,11 @@ def recommend(
         for item in ranked
         if vary == 'library'
     )
-    box = Box(limits.thickness, limits.wave_speed) if vary == 'library' else spaces[0].box
+    box = limits.box if vary == 'library' else spaces[0].box
     present = search.evaluate(rig)
     if present.score > 0.0 and box.contains(rig.layer.thickness, rig.layer.wave_speed):
         ranked = [present, *ranked]
-        ranked.sort(key=lambda item: -item.score * (1.0 + _EQUAL * (item is present)))
+        ranked.sort(key=lambda item: -item.score * (1.0 + EQUAL * (item is present)))
     if not ranked:
         raise ThrowUnresolvedError(
             f'no layer{" from the library" if vary == "library" else ""} throws with {vary} '
@@ -235,23 +287,23 @@ def _spaces(
     rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material] | None = None
 ) -> list[_Space]:
     """List the spaces of a request, of the library one for each material or for its sheets."""
-    layer = rig.layer
+    layer, box = rig.layer, limits.box
     if layer.parts:
         raise ValueError(
             f'only layers of one material are designed, got {len(layer.parts)} sheets'
         )
+    if vary == 'thickness':
+        box = box._replace(wave_speed=(layer.wave_speed,) * 2)
+    if vary == 'wave_speed':
+        box = box._replace(thickness=(layer.thickness,) * 2)
     if vary != 'library':
-        thickness = limits.thickness if vary != 'wave_speed' else (layer.thickness,) * 2
-        speeds = limits.wave_speed if vary != 'thickness' else (layer.wave_speed,) * 2
-        return [_Space(rig, Box(thickness, speeds))]
+        return [_Space(rig, box)]
     spaces = []
     for material in (materials or {}).values():
         speed = material.wave_speed
-        if material.is_ideal or not limits.wave_speed_min <= speed <= limits.wave_speed_max:
-            continue
-        smallest, largest = limits.thickness
-        sheets = [(item, item) for item in material.thicknesses if smallest <= item <= largest]
-        for low, high in sheets if material.thicknesses else [limits.thickness]:
+        for low, high in [(size, size) for size in material.thicknesses] or [box.thickness]:
+            if material.is_ideal or not box.contains(low, speed):
+                continue
             sheet = replace(
                 layer,
                 thickness=low if low == high else layer.thickness,
@@ -260,8 +312,8 @@ def _spaces(
                 loss_tangent=material.loss_tangent,
                 diameter=material.diameter or layer.diameter,
             )
-            box = Box((low, high), (speed, speed))
-            spaces.append(_Space(replace(rig, layer=sheet), box, material.layer_name(low)))
+            space = Box((low, high), (speed, speed))
+            spaces.append(_Space(replace(rig, layer=sheet), space, material.layer_name(low)))
     return spaces
 
 
@@ -281,11 +333,7 @@ class _Search(NamedTuple):
     cancelled: Cancelled | None
 
     def rank(self, spaces: list[_Space], starts: Sequence[Layer] = ()) -> list[_Candidate]:
-        """
-        Find the best layers of some spaces, the best first; `starts` are layers to search near.
-
-        All spaces are searched with few cells, and the best of them once more.
-        """
+        """Find the best layers of spaces with few cells, and the best of them once more."""
         optima: list[tuple[_Space, Optimum]] = []
         for space in spaces:
             if space.rig.gravity_ratio > _HOLDING_GRAVITY:
@@ -319,12 +367,9 @@ class _Search(NamedTuple):
         return Score(rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled)
 
     def _grid_step(self, space: _Space) -> float:
-        """
-        Return the step of the grid of a search, in logarithms [-].
-
-        A stepper takes thirty times as long as the closed form. Under strong gravity the maxima
-        are too narrow for its coarse grid, with limits of loads or not.
-        """
+        """Return the step of the grid of a search, in logarithms [-]."""
+        # A stepper takes thirty times as long as the closed form. Under strong gravity the maxima
+        # are too narrow for its coarse grid, with limits of loads or not.
         step, gravity = 0.06, space.rig.gravity_ratio
         if _STRONG_GRAVITY < gravity < 1.0:
             step = 0.09
@@ -345,6 +390,4 @@ class _Search(NamedTuple):
         best = maximise(
             self._score(space.rig), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
         )
-        if best is None:
-            return exact
-        return _Candidate(space.with_layer(*best), best.score, space.name)
+        return _Candidate(space.with_layer(*best), best.score, space.name) if best else exact

@@ -5,17 +5,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import math
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from soft_throw_ros.configuration import Settings
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import throw_many
-from soft_throw_ros.design.uncertainty import changes_of, CORNERS, Uncertainties, variant_of
+from soft_throw_ros.design.maximise import Box
+from soft_throw_ros.design.prediction import changes_of, CORNERS, Uncertainties, variant_of
 
 Floats = NDArray[np.float64]
 
@@ -41,20 +43,21 @@ class Limits:
         for name, value in vars(self).items():
             if value != math.inf or name.startswith(('thickness', 'wave_speed')):
                 checks.require_all(name, value, 'positive')
-        for name in ('thickness', 'wave_speed'):
-            low, high = getattr(self, name)
+        for name, (low, high) in self.box._asdict().items():
             if low >= high:
                 raise ValueError(f'{name}_min must be below {name}_max, got {low:g} and {high:g}')
 
-    @property
-    def thickness(self) -> tuple[float, float]:
-        """Smallest and largest [m]."""
-        return self.thickness_min, self.thickness_max
+    @classmethod
+    def from_settings(cls, settings: Settings) -> Limits:
+        """Return the limits that the settings of the twin set; 0 is none."""
+        values = {item.name: settings[f'recommendation.{item.name}'] for item in fields(cls)}
+        return cls(**{name: value or math.inf for name, value in values.items()})
 
     @property
-    def wave_speed(self) -> tuple[float, float]:
-        """Smallest and largest [m/s]."""
-        return self.wave_speed_min, self.wave_speed_max
+    def box(self) -> Box:
+        """Layers within the limits."""
+        thickness = self.thickness_min, self.thickness_max
+        return Box(thickness, (self.wave_speed_min, self.wave_speed_max))
 
     @property
     def of_loads(self) -> bool:
@@ -139,8 +142,8 @@ class Score:
             if numbers.size and rows.size:
                 transfers = self._transfers(thickness[rows], wave_speed[rows], numbers)
                 scores[rows] = np.minimum(scores[rows], transfers.min(axis=1))
-        is_last = stages == len(_STAGES)
-        if is_last and numbers.size and rows.size:  # begin with the most frequent worst throw
+        if stages == len(_STAGES) and numbers.size and rows.size:
+            # begin with the most frequent worst throw the next time
             worst = np.bincount(numbers[transfers.argmin(axis=1)], minlength=self._order.size)
             self._order = self._order[np.argsort(-worst[self._order], kind='stable')]
         return scores

@@ -36,7 +36,7 @@ from soft_throw_ros.configuration.interface import (
     TWIN_SERVICES,
     TWIN_TOPICS,
 )
-from soft_throw_ros.configuration.rig import CALIBRATOR, RIG
+from soft_throw_ros.configuration.node_tables import CALIBRATOR, RIG
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.identification.fit_description import DEFAULT_FREE, FitDescription, FIXED

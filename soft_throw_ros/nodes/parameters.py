@@ -90,7 +90,7 @@ class NodeParameters:
             entry = self._table.by_name.get(name)
             if self._is_foreign(name):
                 passed.append(parameter)
-            elif entry is not None and entry.is_read_only:
+            elif entry is not None and (entry.is_result or entry.is_fixed):
                 present = {**self.settings, **self._results}.get(name, entry.default)
                 if repr(value) != repr(present):  # which may be set, so that a dump loads
                     setter = 'set by the twin' if entry.is_result else 'set at the start'

@@ -19,8 +19,8 @@ from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion import MotionDesign
-from soft_throw_ros.design.requests import RequestResult, solve_request
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.recommendation import RequestResult, solve_request
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.regular_file import atomic_file
 from soft_throw_ros.twin.session import RequestRejected

@@ -13,7 +13,7 @@ import numpy as np
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
-from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.configuration.node_tables import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time, throw_text
 from soft_throw_ros.nodes.parameters import NodeParameters

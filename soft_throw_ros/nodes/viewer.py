@@ -12,7 +12,7 @@ from typing import Any
 
 from soft_throw_ros.configuration import ParameterError
 from soft_throw_ros.configuration.interface import VIEWER_DIAGNOSTICS
-from soft_throw_ros.configuration.recorder import VIEWER
+from soft_throw_ros.configuration.node_tables import VIEWER
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions

@@ -96,8 +96,8 @@ def check_bag(reader: BagReader) -> list[CheckResult]:
     )
     if not nodes:
         raise CheckError(
-            f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.relative_name} and '
-            f'{TWIN_TOPICS.joint_states.relative_name} of a twin, and has '
+            f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.name[2:]} and '
+            f'{TWIN_TOPICS.joint_states.name[2:]} of a twin, and has '
             f'{", ".join(item.topic for item in reader.channels) or "none"}'
         )
     return [_Check(reader, node).run() for node in nodes]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from soft_throw_ros.configuration import motions, Settings, TWIN
+from soft_throw_ros.configuration import motions, rig_of, Settings, TWIN
 from soft_throw_ros.configuration.interface import FIELD_POINTS
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.plate import motion_of as motion_of_engine
@@ -185,7 +185,7 @@ def prepare(
     real time, or a controller cannot play the motion that is to be commanded.
     """
     if before is None:
-        config = TwinConfig.from_settings(settings, motion_of)
+        config = TwinConfig(settings=settings, rig=rig_of(settings, motion_of))
     else:
         path, motion = before.config.motion_file, before.rig.engine.motion
         config = before.config.change(

@@ -20,9 +20,9 @@ from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.aiming import aim
 from soft_throw_ros.design.landscape import compute_landscape
 from soft_throw_ros.design.motion import PlateLimits
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.design.score import Limits, robust
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
 import yaml
 
 COMMAND = (design.main,)
@@ -38,7 +38,7 @@ from soft_throw_ros.commands.design import main
 if __name__ == '__main__':
     options = {'threads_per_worker': 1, 'host': '127.0.0.1', 'dashboard_address': None}
     with LocalCluster(n_workers=2, **options) as cluster:
-        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '--release', 'last', '--output']
+        words = ['map', 'x=0.6:0.9:40', 'C=2:8:40', '-p', 'layer.loss_tangent:=0.05', '--output']
         assert main([*words, 'here.nc']) == 0
         assert main([*words, 'there.nc', '--dask', cluster.scheduler_address]) == 0
 """

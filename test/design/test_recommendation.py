@@ -10,24 +10,34 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.configuration.layers import library
+from soft_throw_ros.core.batch import SearchCancelledError
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import throw_many
+from soft_throw_ros.design.prediction import stuck_fraction, Uncertainties
 from soft_throw_ros.design.recommendation import (
     MAX_STUCK_FRACTION,
     predict,
     recommend,
+    solve_request,
     TOLERATED_LOSS,
 )
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
-from soft_throw_ros.design.uncertainty import stuck_fraction, Uncertainties
+from twin_runs import complete_settings
 
 MATERIALS = library().materials
 LOSSY = {'dragon': MATERIALS['dragon_skin_10']}
 KINDS = ('peak', 'robust', 'versatile', 'limits', 'library')
+SLOW = Limits(wave_speed_min=0.01, wave_speed_max=0.02)
 NONE = Uncertainties(wave_speed=0.0, thickness=0.0, mass=0.0, frequency=0.0, damping_ratio=0.0)
 FREE = Limits()
 LOST = 1e-3
 """Fraction of the best score that a recommendation may lose."""
+
+
+def requested(**request):
+    """Return a call that solves a request of the twin."""
+    names = {f'recommendation__{name}': value for name, value in request.items()}
+    return partial(solve_request, complete_settings(**names))
 
 
 def random_rig(random, *, loss_tangent=0.0):
@@ -84,7 +94,8 @@ def assert_as_good_as_brute_force(
     rig, *, size, vary='both', objective=peak, limits=FREE, materials=None
 ):
     """Compare a recommendation with a grid, `size` both ways or 20 times as many on a line."""
-    layers = [(rig.layer, limits.wave_speed if vary == 'both' else (rig.layer.wave_speed,) * 2)]
+    speeds = limits.box.wave_speed if vary == 'both' else (rig.layer.wave_speed,) * 2
+    layers = [(rig.layer, speeds)]
     if vary == 'library':
         layers = [
             (replace(rig.layer, wave_speed=item.wave_speed, density=item.density,
@@ -94,7 +105,7 @@ def assert_as_good_as_brute_force(
     brute = 0.0
     for layer, (low, high) in layers:
         score = Score(replace(rig, layer=layer), objective, limits)
-        thicknesses = np.geomspace(*limits.thickness, size if low < high else 20 * size)
+        thicknesses = np.geomspace(*limits.box.thickness, size if low < high else 20 * size)
         for wave_speed in np.geomspace(low, high, size if low < high else 1):
             brute = max(brute, score(thicknesses, wave_speed).max())
     best = recommend(
@@ -214,14 +225,25 @@ def test_library_gives_no_ideal_material_and_the_present_layer_if_it_has_no_bett
 
 
 @pytest.mark.parametrize(
-    ('options', 'message'),
+    ('call', 'message'),
     [
-        ({'vary': 'density'}, "vary .* got 'density'"),
-        ({'limits': Limits(wave_speed_min=0.01, wave_speed_max=0.02)}, 'speed_max=0.02'),
-        ({'vary': 'library', 'limits': Limits(wave_speed_max=2.0), 'materials': LOSSY},
+        (partial(recommend, vary='density'), "vary .* got 'density'"),
+        (partial(recommend, limits=SLOW), 'speed_max=0.02'),
+        (partial(recommend, vary='library', limits=Limits(wave_speed_max=2.0), materials=LOSSY),
          'from the library .*wave_speed_max=2.0'),
+        (requested(vary='motion', objective='robust'), "vary 'motion' .* got 'robust'"),
+        (requested(objective='aim', target_height=0.0), 'either a height or a speed'),
     ],
 )
-def test_impossible_recommendation_is_refused_with_a_reason(options, message):
+def test_impossible_request_is_refused_with_a_reason(call, message):
     with pytest.raises(ValueError, match=message):
-        recommend(Rig(), **options)
+        call(rig=Rig())
+
+
+@pytest.mark.parametrize('name', ['peak', 'robust', 'versatile', 'aim'])
+@pytest.mark.parametrize('batches', [0, 3])
+def test_search_ends_when_cancelled_between_batches(name, batches):
+    answers = iter([False] * batches + [True])
+    with pytest.raises(SearchCancelledError):
+        requested(objective=name)(cancelled=lambda: next(answers))
+    assert not list(answers)

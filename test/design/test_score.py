@@ -12,9 +12,9 @@ from reference.cases import exact_release
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import rig_with, throw_many
 from soft_throw_ros.design.maximise import Box, maximise
-from soft_throw_ros.design.prediction import predict
+from soft_throw_ros.design.prediction import changes_of, predict, Uncertainties
 from soft_throw_ros.design.score import Limits, peak, robust, Score, versatile
-from soft_throw_ros.design.uncertainty import changes_of, Uncertainties
+from twin_runs import complete_settings
 
 
 def score_of(rig, objective, limits=None):
@@ -81,9 +81,18 @@ def test_limits_hold_for_every_throw_that_counts():
     assert score_of(rig, robust, limits) == 0.0
 
 
+def test_settings_of_the_twin_set_the_limits_and_zero_sets_none():
+    limits = {'thickness_min': 0.002, 'wave_speed_max': 30.0, 'max_acceleration': 500.0}
+    settings = complete_settings(**{f'recommendation__{key}': limits[key] for key in limits})
+    assert settings['recommendation.max_strain'] == 0.0
+    assert Limits.from_settings(settings) == Limits(**limits)
+
+
 @pytest.mark.parametrize(
     ('make', 'message'),
     [
+        (lambda: Uncertainties(thickness=-1e-3), r'uncertainty\.thickness .* got -0\.001'),
+        (lambda: Uncertainties(mass=1.0), r'uncertainty\.mass .* got 1\.0'),
         (lambda: Limits(thickness_min=0.06), 'thickness_min .* got 0.06 and 0.05'),
         (lambda: Limits(thickness_min=0.0), r'thickness_min .* got 0\.0'),
         (lambda: Limits(wave_speed_max=math.inf), 'wave_speed_max .* got inf'),

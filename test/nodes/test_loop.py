@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import pytest
 from rclpy.serialization import deserialize_message
 from soft_throw_ros.configuration import rig_of
-from soft_throw_ros.configuration.rig import RIG, to_twin
+from soft_throw_ros.configuration.node_tables import RIG, to_twin
 from soft_throw_ros.design.motion import design_motion
 from soft_throw_ros.design.recommendation import predict, recommend
 from soft_throw_ros.nodes.conversions import msg_to_throw_result

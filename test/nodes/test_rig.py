@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from ros_nodes import GivenClock, rules
 from soft_throw_ros.configuration.interface import RIG_TOPICS
-from soft_throw_ros.configuration.rig import to_twin
+from soft_throw_ros.configuration.node_tables import to_twin
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rig import SimulatedRig

@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values
 from soft_throw_ros.configuration.interface import ENERGIES, FRAME, TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.uncertainty import prediction_uncertainty, Uncertainties
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.nodes import twin as twin_module
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
