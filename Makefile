@@ -125,10 +125,9 @@ docs-check: .venv/jazzy/.testable $(KERNELS)
 	PATH=$(CURDIR)/.venv/jazzy/bin:$$PATH python docs/check.py
 
 # Compile the kernels beside the linters, or each process of pytest would compile all of them.
-# The two commands share the work: each waits for the parts that the other one compiles.
 test: .venv/jazzy/.testable $(KERNELS)
-	@$(WARM_UP) cells >/dev/null & cells=$$!; $(WARM_UP) >/dev/null & all=$$!; \
-	{ $(LINT) && wait $$cells && wait $$all; } || { kill $$cells $$all 2>/dev/null; exit 1; }
+	@$(WARM_UP) >/dev/null & kernels=$$!; \
+	{ $(LINT) && wait $$kernels; } || { kill $$kernels 2>/dev/null; exit 1; }
 	.venv/jazzy/bin/python -m pytest $(PARALLEL) -m 'not slow'
 
 test-slow: .venv/jazzy/.testable $(KERNELS)
