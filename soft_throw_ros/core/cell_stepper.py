@@ -346,9 +346,11 @@ def _contact_forces(s, nodes):
 
 @inlined
 def _first_root(a, b, c):
-    """Find the root between 0 and 1 of a + b x + c x^2, which is negative at 1."""
+    """Find the root between 0 and 1 of a + b x + c x^2, which is negative at 1; 0 if also at 0."""
+    if a <= 0.0:
+        return 0.0
     root = math.sqrt(max(b * b - 4.0 * a * c, 0.0))
-    return 2.0 * max(a, 0.0) / (root - b) if b < 0.0 else -0.5 * (root + b) / c
+    return 2.0 * a / (root - b) if b < 0.0 else -0.5 * (root + b) / c
 
 
 @subroutine

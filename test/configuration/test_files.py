@@ -105,7 +105,7 @@ def test_written_file_is_read_back_by_us_and_by_yaml(tmp_path_factory, data, tex
     everybody = yaml.safe_load(path.read_text('utf-8'))['/**/twin']['ros__parameters']
     assert everybody['engine.amplitude'] == amplitude  # and not its text
     assert everybody['layer.library'] == text
-    recorder = {**RECORDER.defaults(), 'name': text, 'topics': ('/a', 'on')}
+    recorder = {**RECORDER.defaults(), 'folder': text, 'topics': ('/a', 'on')}
     path.write_text(files.render(recorder, table=RECORDER), 'utf-8')
     assert files.read(path, node='/recorder', table=RECORDER) == recorder
 

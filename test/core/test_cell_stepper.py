@@ -252,3 +252,14 @@ def test_layer_is_read_within_its_sheets():
     assert layer[0] == pytest.approx(np.interp(depths, bounds, heights), rel=1e-9)
     sheets = np.minimum(np.searchsorted(bounds, depths, side='right') - 1, 2)
     assert layer[3] == pytest.approx(strains[sheets], rel=1e-9)
+
+
+def test_contact_that_ends_in_the_step_of_its_landing_has_a_time() -> None:
+    layer = Layer(
+        thickness=0.0262085577, wave_speed=10.8084425, density=1070.0, loss_tangent=0.15
+    )
+    stepper = CellStepper(Rig(engine=Engine(amplitude=1.9e-3), layer=layer))
+    stepper.advance_to(0.7)
+    times = [event.time for event in stepper.events()]
+    assert times == sorted(times)
+    assert min(times) > 0.0

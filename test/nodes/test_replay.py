@@ -48,7 +48,7 @@ def play(request: Any, ros: Any, tmp_path: Path) -> Callable[..., Player]:
         if isinstance(made, list):
             made = write(tmp_path / f'bag{len(ros.nodes)}', made)
         reader = BagReader(made)
-        request.addfinalizer(reader.close)
+        request.addfinalizer(reader.__exit__)
         player = ros.node(Player, reader, **options)
         counts = [item.get_subscription_count for item in player.publishers]
         ros.spin_until(lambda: sum(count() for count in counts) >= listeners, 'the listeners')
