@@ -125,7 +125,7 @@ class MeasuredThrow(OngoingThrow):
             if not fork.event_count and release_by > known:
                 self._try_to_advance(fork, release_by)
             if fork.event_count:
-                self._predict(fork.events()[0], known, due_ns)
+                self._predict(fork.events(), known, due_ns)
         if self.ended_by == 'noise':
             self.events, outputs.events = [], []
         outputs.state = states[self._now]
@@ -174,11 +174,13 @@ class MeasuredThrow(OngoingThrow):
         self._differences.append(np.stack((times, differences[:, 1])))
         return events, Residual(int(samples.stamps[-1]), *differences[-1].tolist())
 
-    def _predict(self, release: Event, known: float, due_ns: int) -> None:
+    def _predict(self, events: list[Event], known: float, due_ns: int) -> None:
         """Report the release when it is first known well enough, and when it is certain."""
-        self._is_certain = release.time <= known
-        relative_error = self._observer.errors()[0] / abs(release.velocity)
-        if self._is_certain and relative_error > _NOISY:
+        release, (speed_error, time_error, _) = events[0], self._observer.errors()
+        relative_error, in_doubt = speed_error / abs(release.velocity), release.time + time_error
+        self._is_certain = in_doubt <= known
+        is_brief = any(event.time < in_doubt for event in events[1:])
+        if self._is_certain and (is_brief or relative_error > _NOISY):
             self.ended_by = 'noise'
         elif self._is_certain or (self._lead is None and relative_error <= _PREDICTION_ERROR):
             lead = release.time - (due_ns - self.start_ns) / SECOND
