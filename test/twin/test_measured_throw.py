@@ -178,6 +178,22 @@ def test_throw_that_noise_may_release_is_invalid() -> None:
     assert not run.results('release')
 
 
+def test_release_shorter_than_the_error_of_its_time_is_noise() -> None:
+    run, random = Run(**MEASURED, measured__stamp_error=8e-5), np.random.default_rng(99)
+    onset = 0.05 + 1e-3 * random.uniform()
+    errors = np.rint(8e4 * random.standard_normal(375)).astype(int).tolist()
+
+    def scatter(samples: list[Sample]) -> list[Sample]:  # an early echo lifts it for 40 us
+        pairs = zip(samples, errors, strict=True)
+        return [sample._replace(stamp_ns=sample.stamp_ns + error) for sample, error in pairs]
+
+    run.measure(noise=5e-6, seed=22, duration=0.075, onset=onset, change=scatter)
+    assert {result.accuracy.is_certain for result in run.results('predicted')} == {False}
+    run.session.reset()
+    run.go(3)
+    assert [result.ended_by for result in run.results('final')] == ['noise']
+
+
 def trial(
     seed: int,
     *,
