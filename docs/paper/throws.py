@@ -51,11 +51,10 @@ def heights_of_layer(throw: Throw, time: Floats, *, points: int) -> tuple[Floats
 def bare_flight(throw: Throw, time: Floats) -> Floats:
     """Return the height of a projectile that leaves the bare plate at its largest speed."""
     motion = Underdamped.of(throw.rig.engine)
-    release = motion.peak_velocity_time
-    flight = np.maximum(time - release, 0.0)
-    start = motion.position(np.minimum(time, release))
-    rise = motion.peak_velocity * flight - 0.5 * throw.rig.gravity * flight**2
-    return np.asarray(start + rise)
+    start = motion.position(np.minimum(time, motion.peak_velocity_time))
+    flight = np.maximum(time - motion.peak_velocity_time, 0.0)
+    fall = 0.5 * throw.rig.gravity * flight**2
+    return np.asarray(start + motion.peak_velocity * flight - fall)
 
 
 def draw_states() -> Figure:
