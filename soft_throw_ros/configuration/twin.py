@@ -106,7 +106,7 @@ _ENTRIES = (
         'Properties that may change, except when aiming: thickness or wave speed of the layer, '
         'both, the layer for one of the library, or the motion of the plate',
         choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
-    row('recommendation.plate_speed', 0.0, 'Largest speed of a designed motion; 0 is the present one',
+    row('recommendation.plate_speed', 0.0, 'Largest speed of a designed motion; 0: as it is now',
         'm/s', 1e-3, 100.0, or_zero=True),
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
         'm/s2', 0.1, 1e6, or_zero=True),
