@@ -11,6 +11,7 @@ from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.identification.fit_description import (
     DEFAULT_FREE,
     FitDescription,
+    FIXED,
     FREE,
     IDEAL_BENCH,
     LOSS,
@@ -104,6 +105,22 @@ def test_loss_is_found_and_large_strain_is_fitted_if_stated(see, layer, amplitud
     assert (LOSS in found.fit) is (amplitude < 5e-3)
     assert not found.fit.is_mismatch
     assert fit_warnings(found.fit) == [] or not layer
+
+
+@pytest.mark.parametrize(('noise', 'is_fitted'), [(1.2e-4, True), (1.5e-4, False)])
+def test_loss_is_fitted_if_it_gains_six_more_than_the_logarithm_of_the_samples(
+    see, noise, is_fitted
+):
+    tracks = [followed(see, Rig(layer=Layer(loss_tangent=0.02)), rate=1000.0, noise=noise)]
+    known = {**IDEAL_BENCH, 'layer.wave_speed': FIXED}
+    del known[LOSS]
+    without, with_loss, chosen = (
+        fit_rig(tracks, Rig(), FitDescription({**known, **loss})).fit
+        for loss in ({LOSS: FIXED}, {LOSS: FREE}, {})
+    )
+    gain = without.chi2 - with_loss.chi2 - np.log(160)
+    assert gain > 6.0 if is_fitted else gain < 6.0
+    assert (LOSS in chosen) is is_fitted
 
 
 def test_throws_have_separate_amplitudes(make_throw):
