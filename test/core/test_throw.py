@@ -14,7 +14,7 @@ from soft_throw_ros.core import batch, simulate, throw_many
 from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Event, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import Event, PROJECTILE_FORCE, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import ejections, HELD, REFUSED, RELEASED, rig_with
 
 TIMES = np.arange(0.0, 0.05, 2e-4)
@@ -51,8 +51,10 @@ def test_paths_and_fields_of_a_throw_agree_with_its_numbers():
     heights = states[:, PROJECTILE_POSITION]
     assert heights.max() == pytest.approx(throw.apex_height, rel=1e-5)
     assert (heights >= layers[:, 0, -1] - 1e-12)[:-1].all()
-    _, layers = throw.trajectory(np.linspace(0.0, throw.ejection_time, 101), points=65)
-    assert layers.shape == (101, 4, 65)
+    states, layers = throw.trajectory(np.linspace(0.0, throw.ejection_time, 501), points=65)
+    assert layers.shape == (501, 4, 65)
+    acceleration = states[:, PROJECTILE_FORCE].max() / throw.rig.projectile.mass - 9.81
+    assert throw.loads.acceleration == pytest.approx(acceleration, rel=1e-3)
     assert layers[0, 3] == pytest.approx(throw.rig.rest_height / throw.rig.layer.thickness - 1.0)
     assert np.abs(layers[:, 3]).max() == pytest.approx(throw.loads.strain, rel=1e-2)
 
