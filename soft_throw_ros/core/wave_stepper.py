@@ -260,12 +260,18 @@ def _find_event(s, waves, cubic):
 
 
 @subroutine
+def _write_work(s, offset):
+    """Write the work of the plate until some steps after `s.cell`."""
+    s.work = s.impedance * s.step * (s.power_sum + (offset - 0.5) * s.power)
+
+
+@subroutine
 def _change_contact(s, waves, events, d, cubic):
     """Release or land the projectile d steps after `s.cell`, and return its velocity."""
     _, V, height, _, _ = _top_at(s, waves, d, 0.0, s.velocity, cubic)
     if s.events == 0:
         _compare_strains_at(s, waves, s.cell)
-        s.work = s.impedance * s.step * (s.power_sum + (d - 0.5) * s.power)
+        _write_work(s, d)
     stepper.note_event(s, events, (s.cell + d) * s.step, height, V)
     s.top = height - _rise(s, waves, d)
     if s.contact:
@@ -429,7 +435,7 @@ def _advance(core, waves, path, events, time):
         s.offset = max(0.0, min((time - goal * step) / step, 1.0 - 1e-15))
         _cross_step(s, waves, events, s.offset)
     if s.events == 0:
-        s.work = s.impedance * s.step * (s.power_sum + (s.offset - 0.5) * s.power)
+        _write_work(s, s.offset)
     force, stress, strain = s.peak_contact_force, s.peak_plate_stress, s.peak_strain
     wave_speed = s.thickness / (s.steps * s.step)
     s.loads[0] = max(strain, stress, force + s.gravity_offset) / wave_speed
