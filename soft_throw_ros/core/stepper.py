@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import plate_kernels
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.rig import Rig, scales_of
+from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
 
@@ -302,7 +302,7 @@ def follow_batch(
     strain, acceleration and plate force, and work of the plate.
     """
     amplitude, zeta = values['amplitude'], values['damping_ratio']
-    omega = scales_of(values).engine.angular_frequency
+    omega = 2.0 * math.pi * values['frequency']
     core, no_events = np.zeros(3, record), np.empty((0, 4))
     numbers = core.view(np.float64).reshape(3, -1)
     rows = np.empty((6, latest.size))
