@@ -22,20 +22,9 @@ from soft_throw_ros.core.throw import make_stepper
 
 Floats = NDArray[np.float64]
 
-_STEP = 2e-5
-"""Spacing of recorded heights, of the states of an imperfect plate, and of deviations. [s]"""
-
-_LEAD_IN = 30e-3
-"""Duration of the smooth growth of the plate's ringing to its amplitude. [s]"""
-
-_RINGS_BEFORE = 0.1
-"""Duration of tabulated ringing before the throw starts. [s]"""
-
-_LONGEST_THROW = 0.6
-"""Longest time after the start with tabulated deviations. [s]"""
-
-_FADING = 0.03
-"""Duration of the fading of deviations before the first landing, over the landing time. [-]"""
+_STEP = 2e-5  # spacing of heights, of the states of an imperfect plate, and of deviations [s]
+_RINGS_BEFORE = 0.1  # duration of tabulated ringing before the throw starts [s]
+_LONGEST_THROW = 0.6  # longest time after the start with tabulated deviations [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +49,9 @@ class ImperfectThrow:
     """Events and paths of a simulated throw, as returned by `throw`."""
 
     rig: Rig
-    events: tuple[Event, ...]
-    """Releases and contacts, alternating; times count from the start of the throw."""
-    plate: Callable[[ArrayLike], Floats]
-    """Height of the plate at any time [m]."""
-    projectile: Callable[[ArrayLike], Floats]
-    """Height of the projectile's lower face above the plate's rest [m]."""
+    events: tuple[Event, ...]  # releases and contacts, alternating, since the start of the throw
+    plate: Callable[[ArrayLike], Floats]  # height at any time [m]
+    projectile: Callable[[ArrayLike], Floats]  # of its lower face above the plate's rest [m]
 
 
 def throw(
@@ -74,11 +60,12 @@ def throw(
     """
     Simulate a throw of a rig with faults from rest `until` a time after its start [s].
 
-    A ringing plate has its full amplitude at the time `start` of the first height [s].
+    A ringing plate grows for one period to its full amplitude at the time `start` of the first
+    height [s].
     """
     imperfections = imperfections or Imperfections()
     start = min(start, 0.0)
-    begin = start - _LEAD_IN if imperfections.ringing else 0.0
+    begin = start - 1.0 / rig.engine.frequency if imperfections.ringing else 0.0
     steps = np.arange(math.ceil((until - begin) / _STEP) + 1, dtype=np.float64)
     times = begin + _STEP * steps
     moving = rig
@@ -107,7 +94,8 @@ class Deviations:
     """
     Tabulated differences between the paths of an imperfect rig and a perfect one.
 
-    They fade before the projectile lands, because the bounces that follow are chaotic.
+    They grow within a period of the plate. They fade within a crossing of the layer before the
+    projectile lands, because the bounces that follow are chaotic.
     """
 
     def __init__(self, rig: Rig, imperfections: Imperfections) -> None:
@@ -116,21 +104,20 @@ class Deviations:
             throw(rig, faults, start=start, until=_LONGEST_THROW)
             for faults in (Imperfections(), imperfections)
         )
-        self.start = start
-        """Time of the first deviation, negative if it is before the throw [s]."""
+        self.start = start  # of the first deviation, negative before the throw [s]
         landings = [
             event.time
-            for thrown in (perfect, imperfect)
-            for event in thrown.events
+            for event in (*perfect.events, *imperfect.events)
             if event.kind != 'release' and event.velocity <= 0.0 < event.time
         ]
         end = min([*landings, _LONGEST_THROW])
-        time = np.arange(start, end + _STEP, _STEP)
-        fade_out = np.clip((end - time) / (_FADING * end), 0.0, 1.0)
-        fade_in = np.clip((time - start) / _LEAD_IN, 0.0, 1.0) if imperfections.ringing else 1.0
+        self._time = time = np.arange(start, end + _STEP, _STEP)
+        share = np.clip((end - time) / rig.crossing_time, 0.0, 1.0)
+        if imperfections.ringing:
+            share *= np.clip((time - start) * rig.engine.frequency, 0.0, 1.0)
         plate = imperfect.plate(time) - perfect.plate(time)
         projectile = imperfect.projectile(time) - perfect.projectile(time)
-        self._time, self._columns = time, fade_in * fade_out * np.stack([plate, projectile])
+        self._columns = share * plate, share * projectile
 
     def at(self, since: float) -> tuple[float, float]:
         """Return the deviations of plate and projectile [m], at a time since the start [s]."""
@@ -143,11 +130,11 @@ def _plate(rig: Rig, imperfections: Imperfections, time: Floats, start: float) -
     engine = rig.engine
     height = motion_of(engine).position(time)
     if imperfections.ringing:
-        own = engine
-        if imperfections.ringing_damping_ratio is not None:
-            own = replace(engine, damping_ratio=imperfections.ringing_damping_ratio)
-        rate = Underdamped.of(own).exponent
-        growth = np.clip((time - start) / _LEAD_IN + 1.0, 0.0, 1.0)
+        damping_ratio = imperfections.ringing_damping_ratio
+        if damping_ratio is None:
+            damping_ratio = engine.damping_ratio
+        rate = Underdamped.of(replace(engine, damping_ratio=damping_ratio)).exponent
+        growth = np.clip((time - start) * engine.frequency + 1.0, 0.0, 1.0)
         decay = np.exp(rate.real * np.maximum(time - start, 0.0))
         wave = np.sin(rate.imag * (time - start) + imperfections.ringing_phase)
         envelope = decay * growth**3 * (10.0 - 15.0 * growth + 6.0 * growth**2)
