@@ -20,7 +20,6 @@ from soft_throw_ros.design.score import Limits
 
 _MAX_AMPLITUDE = TWIN.by_name['engine.amplitude'].high  # where the search ends [m]
 _BRACKET_STEP = 0.1  # step of the logarithm of the amplitude in the search for a bracket [-]
-_UNRELEASED = -10.0  # logarithm of reached over target that stands for no release [-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +85,13 @@ def aim(
         return simulate(changed, cancelled=cancelled)
 
     def excess(logarithm: float) -> float:
-        """Compute the logarithm of reached over target."""
+        """Compute the relative excess over the target, -1 without a release."""
         try:
             throw = throw_with(logarithm)
         except ThrowUnresolvedError:
-            return _UNRELEASED
+            return -1.0
         reached = throw.last_release.velocity if height is None else throw.flight_height
-        return math.log(reached / target) if reached > 0.0 else _UNRELEASED
+        return float(reached / target - 1.0)
 
     free = simulate(replace(rig, gravity=0.0), cancelled=cancelled).last_release.velocity
     low = math.log(rig.engine.amplitude * needed / free)

@@ -35,7 +35,7 @@ References
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import contextlib
 from dataclasses import dataclass, replace
 import math
@@ -62,22 +62,16 @@ from soft_throw_ros.design.score import Limits
 
 Floats = NDArray[np.float64]
 
-_COARSE, _FINE = (12, 120), (64, 300)  # pulses per crossing of the wave, and until T at most
+_COARSE, _FINE = 120, 300  # pulses until the longest T, to find the best T and the motion
 _FINER = 2  # times per pulse at which the layer has to push the projectile
 _HEIGHTS = 9  # points of the layer, from plate to projectile, whose strain is limited
-_WAITING_GAIN = 1e-3  # relative gain of speed that justifies no later release or other motion [-]
-_STRAIN_TOLERANCE = 2e-3  # relative excess of a strain that adds a limit to the programme [-]
-_MAX_ROUNDS = 12  # programmes in turn while limits of the strain are added; 3 to 6 are enough
-_SMOOTHING_LOSS = 5e-4  # relative loss of speed for a motion without brief pulses [-]
-_SCALINGS = 5  # most simulations that scale a motion down to the limits of its loads
-_LOAD_TOLERANCE = 1e-6  # relative excess of a load that is tolerated [-]
+_NEGLIGIBLE = 5e-4  # relative change of a speed or a load below the accuracy of a design [-]
 _MIN_CONTACT_FORCE = 0.2  # smallest force on the projectile over its weight [-]
 _MIN_WAVE_FORCE = 1e-3  # the same in the contact, over the largest speed times impedance [-]
 _KEPT_SPEED = 0.93  # share of the speed that a motion keeps on other rigs [-]
 _PROGRAMME_ERROR = 0.01  # relative deficit of the simulated speed against the programme [-]
 _TIME_FACTORS = (1.0, 0.95, 1.06, 0.85, 0.6, 0.4)  # of the time of release, tried in turn
 _METHODS = {'highs-ipm': 300, 'highs-ds': 20000}  # in turn, and iterations; some do not converge
-_PROGRAMME_TIME = 60.0  # limit of the time of a programme, which takes a second [s]
 _RETURN_SHARE = 0.25  # peak speed and acceleration of the way back, over the motion's [-]
 
 
@@ -121,13 +115,11 @@ class Pulses(NamedTuple):
 
     def motion(self) -> SampledMotion:
         """Return the motion, without the rest before and after it."""
-        moving = np.flatnonzero(self.heights)
-        c = np.pad(self.heights[moving[0]:moving[-1] + 1], 3)
+        c = np.pad(np.trim_zeros(self.heights), 3)
         velocity, acceleration = 0.5 * (c[1:-1] + c[2:]), np.diff(c)[1:] / self.step
         rise = self.step * velocity[:-1]
-        rise = rise + self.step**2 * (2.0 * acceleration[:-1] + acceleration[1:]) / 6.0
-        heights = np.append(0.0, np.cumsum(rise))
-        states: Floats = np.column_stack([heights, velocity, acceleration])
+        rise += self.step**2 * (2.0 * acceleration[:-1] + acceleration[1:]) / 6.0
+        states = np.column_stack([np.append(0.0, np.cumsum(rise)), velocity, acceleration])
         return SampledMotion(self.step * np.arange(float(len(states))), states)
 
     def motion_and_back(self) -> SampledMotion:
@@ -176,7 +168,7 @@ class MotionDesign(PredictedThrow):
         text = f'the present motion throws nothing, the best one {self.ejection_speed:.4g} m/s'
         if now is not None:
             gain = self.kinetic_energy / now.kinetic_energy - 1.0
-            if self.ejection_speed < (1.0 + _WAITING_GAIN) * now.ejection_speed:
+            if self.ejection_speed < (1.0 + _NEGLIGIBLE) * now.ejection_speed:
                 return (
                     'keep your motion: none within the limits of the motor is better '
                     f'(ejection speed {now.ejection_speed:.4g} m/s)'
@@ -216,38 +208,8 @@ def design_motion(
     1.15
 
     """
-    plate = plate or PlateLimits.of(rig.engine)
+    plate, loads = plate or PlateLimits.of(rig.engine), limits or Limits()
     others = _corners(rig, uncertainties) if uncertainties else []
-    best = _best_throw(rig, plate, limits or Limits(), others, cancelled).rig
-    throw, now, worst = predict(best), None, None
-    with contextlib.suppress(ThrowUnresolvedError):
-        now = predict(rig)
-    with contextlib.suppress(ThrowUnresolvedError):
-        cases = [throw, *(predict(rig_with(best, change)) for change in others)]
-        worst = min(cases, key=lambda case: case.ejection_speed)
-    return MotionDesign(
-        **vars(throw), rig=best, present=rig, limits=plate, now=now, worst=worst
-    )
-
-
-def _corners(rig: Rig, uncertainties: Uncertainties) -> list[dict[str, float]]:
-    """Return the changes to the slowest and to the fastest layer and projectile."""
-    offsets = np.array([[-1.0, 1.0, 1.0, 0.0, 0.0], [1.0, -1.0, -1.0, 0.0, 0.0]])
-    variants, layer = uncertainties.variants(rig, offsets), rig.layer
-    return [
-        {'wave_speed': layer.wave_speed + speed, 'thickness': layer.thickness + size, 'mass': mass}
-        for speed, size, mass, *_ in variants.tolist()
-    ]
-
-
-def _best_throw(
-    rig: Rig,
-    plate: PlateLimits,
-    loads: Limits,
-    others: Sequence[Mapping[str, float]],
-    cancelled: Cancelled | None,
-) -> Throw:
-    """Return the throw of the best motion, which other rigs throw nearly as fast."""
     longest, *shorter = _times(rig, plate)
     coarse = _Programme(rig, plate, loads, longest)
 
@@ -255,33 +217,50 @@ def _best_throw(
         check_cancelled(cancelled)
         return coarse.solve(time)[1]
 
-    def throw_at(time: float, others: Sequence[Mapping[str, float]] = ()) -> Throw | None:
+    def throw_at(time: float, others: Sequence[Rig] = ()) -> Throw | None:
         check_cancelled(cancelled)
-        rigs = [rig_with(rig, change) for change in others]
-        fine = _Programme(rig, plate, loads, time, coarse=coarse, others=rigs)
-        pulses, _ = fine.solve(time)
+        pulses, _ = _Programme(rig, plate, loads, time, coarse=coarse, others=others).solve(time)
         return pulses and _follow(rig, pulses, loads, cancelled)
 
     promised = speed_at(longest)
-    index = bisect.bisect_left(shorter, (1.0 - _WAITING_GAIN) * promised, key=speed_at)
+    index = bisect.bisect_left(shorter, (1.0 - _NEGLIGIBLE) * promised, key=speed_at)
     time = [*shorter, longest][index]
     best: Throw | None = None
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        throw = throw_at(time_factor * time)
-        if throw:
-            speeds = [float(throw_many(throw.rig, change).ejection_speed) for change in others]
-            if not all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds):
-                throw = throw_at(time_factor * time, others) or throw
-            best = max(throw, best or throw, key=lambda item: item.ejection_speed)
-            is_exact = rig.layer.stress_strain_law == 'linear'
-            if is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
-                break
+        if not (throw := throw_at(time_factor * time)):
+            continue
+        rigs = [replace(other, engine=throw.rig.engine) for other in others]
+        speeds = [float(throw_many(other).ejection_speed) for other in rigs]
+        if not all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds):
+            throw = throw_at(time_factor * time, others) or throw
+        best = max(throw, best or throw, key=lambda item: item.ejection_speed)
+        is_exact = rig.layer.stress_strain_law == 'linear'
+        if is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
+            break
     if best is None:
         raise ThrowUnresolvedError(
             f'no motion of the plate throws within {plate} and strain {loads.max_strain:g}, '
             f'acceleration {loads.max_acceleration:g} m/s2'
         )
-    return best
+    predicted, now, worst = predict(best.rig), None, None
+    with contextlib.suppress(ThrowUnresolvedError):
+        now = predict(rig)
+    with contextlib.suppress(ThrowUnresolvedError):
+        cases = [predict(replace(other, engine=best.rig.engine)) for other in others]
+        worst = min([predicted, *cases], key=lambda case: case.ejection_speed)
+    return MotionDesign(
+        **vars(predicted), rig=best.rig, present=rig, limits=plate, now=now, worst=worst
+    )
+
+
+def _corners(rig: Rig, uncertainties: Uncertainties) -> list[Rig]:
+    """Return the rigs with the slowest and with the fastest layer and projectile."""
+    offsets = np.array([[-1.0, 1.0, 1.0, 0.0, 0.0], [1.0, -1.0, -1.0, 0.0, 0.0]])
+    speed, thickness = rig.layer.wave_speed, rig.layer.thickness
+    return [
+        rig_with(rig, {'wave_speed': speed + error, 'thickness': thickness + size, 'mass': mass})
+        for error, size, mass, *_ in uncertainties.variants(rig, offsets).tolist()
+    ]
 
 
 def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
@@ -306,7 +285,7 @@ def _follow(
     rig: Rig, pulses: Pulses, loads: Limits, cancelled: Cancelled | None
 ) -> Throw | None:
     """Return the throw by a motion, scaled down for the loads; None unless it is thrown once."""
-    for _ in range(_SCALINGS):
+    while True:
         try:
             engine = replace(rig.engine, motion=pulses.motion_and_back())
             throw = simulate(replace(rig, engine=engine), cancelled=cancelled)
@@ -316,10 +295,9 @@ def _follow(
             throw.loads.strain / loads.max_strain,
             throw.loads.acceleration / loads.max_acceleration,
         )
-        if excess <= 1.0 + _LOAD_TOLERANCE:
+        if excess <= 1.0:
             return throw if len(throw.ejections) == 1 and throw.ejection_speed > 0.0 else None
-        pulses = pulses._replace(heights=pulses.heights / excess)
-    return None
+        pulses = pulses._replace(heights=pulses.heights / ((1.0 + _NEGLIGIBLE) * excess))
 
 
 class _Programme:
@@ -329,18 +307,11 @@ class _Programme:
     # pulses over speed, whose differences bound the acceleration.
 
     def __init__(
-        self,
-        rig: Rig,
-        limits: PlateLimits,
-        loads: Limits,
-        longest: float,
-        *,
-        coarse: _Programme | None = None,
-        others: Iterable[Rig] = (),
+        self, rig: Rig, limits: PlateLimits, loads: Limits, longest: float, *,
+        coarse: _Programme | None = None, others: Iterable[Rig] = (),
     ) -> None:
         self._rig, self._limits, self._loads, self._is_fine = rig, limits, loads, bool(coarse)
-        per_crossing, max_pulses = _FINE if coarse else _COARSE
-        self._step = _whole_ns(max(rig.crossing_time / per_crossing, longest / max_pulses))
+        self._step = _whole_ns(longest / (_FINE if coarse else _COARSE))
         self._count = math.ceil(longest / self._step) + 1
         self._gravity = 1e3 / self._step  # keeps the projectile in contact, changes nothing else
         states, strains = self._responses(rig)
@@ -402,7 +373,8 @@ class _Programme:
             parts += [(sign * steps, np.full(len(steps), most)) for sign in (-1.0, 1.0)]
         strains = _lagged(self._strains, np.arange(release + 1), size)
         exceeded = self._exceeded[:, release::-1]  # by the steps after the start, a view
-        for _ in range(_MAX_ROUNDS):
+        is_new = np.True_
+        while is_new:
             static = self._static_strains[exceeded.nonzero()[0]]
             limited = [
                 (sign * limits.speed * strains[exceeded], self._loads.max_strain - sign * static)
@@ -416,9 +388,8 @@ class _Programme:
                 result = self._smoothest(result, goal @ rise, rows @ rise, bounds)
             pulses = limits.speed * (rise @ result)
             strain = np.abs(strains @ pulses + self._static_strains[:, None])
-            new = strain > (1.0 + _STRAIN_TOLERANCE) * self._loads.max_strain
-            if not (new & ~exceeded).any():
-                break
+            new = strain > (1.0 + _NEGLIGIBLE) * self._loads.max_strain
+            is_new = (new & ~exceeded).any()
             exceeded |= new
         pulses[np.abs(pulses) < 1e-6 * np.abs(pulses).max()] = 0.0
         if rig.gravity == 0.0:  # negative rounding errors before the start would release it
@@ -435,7 +406,7 @@ class _Programme:
                 b_ub=bounds,
                 bounds=(0.0, self._limits.travel / (self._limits.speed * self._step)),
                 method=method,
-                options={'maxiter': iterations, 'time_limit': _PROGRAMME_TIME},
+                options={'maxiter': iterations},
             )
             if result.status in (0, 2):  # optimal, or infeasible
                 break
@@ -456,7 +427,7 @@ class _Programme:
                 [-bends, -size],
             ]),
             np.concatenate([
-                bounds, [best + _SMOOTHING_LOSS * abs(best)], np.zeros(2 * len(size))
+                bounds, [best + _NEGLIGIBLE * abs(best)], np.zeros(2 * len(size))
             ]),
         )
         return fastest if result is None else result[:goal.size]
