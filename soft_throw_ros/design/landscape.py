@@ -170,15 +170,14 @@ def compute_landscape(
 
     """
     checked = _check(rig, axes)
-    first, second = checked.values()
-    shape = (first.size, second.size)
-    changes = _changes(rig, dict(zip(checked, (first[:, None], second), strict=True)))
-    cases = np.stack([np.broadcast_to(item, shape).ravel() for item in changes.values()])
+    grid = np.meshgrid(*checked.values(), indexing='ij')
+    changes = _changes(rig, dict(zip(checked, grid, strict=True)))
+    cases = np.stack(np.broadcast_arrays(*changes.values())).reshape(len(changes), -1)
     compute = functools.partial(_compute, rig, tuple(changes))
     has_cells = rig.layer.needs_cells or 'layer.loss_tangent' in axes
     size = 256 if rig.engine.motion or has_cells else 1 << 16
     blocks = [cases[:, start:start + size] for start in range(0, cases.shape[1], size)]
-    phase, transfer = np.hstack(list(run(compute, blocks))).reshape(len(RESULTS), *shape)
+    phase, transfer = np.hstack(list(run(compute, blocks))).reshape(len(RESULTS), *grid[0].shape)
     return Landscape(rig=rig, axes=checked, ejection_phase=phase, energy_transfer=transfer)
 
 
@@ -197,14 +196,12 @@ def _check(rig: Rig, axes: Mapping[str, ArrayLike]) -> dict[str, Floats]:
         raise ValueError('engine.damping_ratio is an axis, but the plate moves by a file')
     checked = {}
     for name, values in axes.items():
-        array = checks.require_all(name, values, 'not_negative')
+        is_parameter = name in TWIN.by_name
+        array = checks.require_all(name, values, 'not_negative' if is_parameter else 'positive')
         if array.ndim != 1 or not array.size or (np.diff(array) <= 0.0).any():
             raise ValueError(f'{name} must be increasing numbers, got {array}')
-        for value in array[[0, -1]].tolist():
-            if name in TWIN.by_name:
-                TWIN.check_value(name, value)
-            else:
-                checks.require_all(name, value, 'positive')
+        for value in array[[0, -1]].tolist() * is_parameter:
+            TWIN.check_value(name, value)
         if name == 'x':
             checks.require_all(name, array[-1], 'in_unit_interval')
         checked[name] = array

@@ -42,18 +42,16 @@ Where the score is below the third argument, any number between them may be retu
 NEAR = 0.1  # part of the highest score that a layer may lack to be searched near [-]
 EQUAL = 1e-9  # relative difference of equal scores: the present or the thinner layer wins [-]
 
-_POINTS = (9, 512)  # least and most grid points along an axis that is free
-_FIRST_POINTS = 4  # grid points computed before the others, to exclude most of them
+_CELL = 0.01  # area, or length with one free value, of a box in logarithms per grid point [-]
 _SEARCHES = 4  # pattern searches, each from a local maximum of the grid
 _MAX_ROUNDS = 40  # of a pattern search, which usually takes 6 to 15
-_SHRINK = 0.3  # size of the next patch over that of a patch with its best point inside [-]
-_ROUNDING = 1e-13  # relative difference of scores for which a patch does not move [-]
+_TOLERANCE = 1e-4  # relative error of thickness and wave speed [-]
 
+# Points of a patch along an axis, in half widths
 _PATCH = np.linspace(-1.0, 1.0, 7)
-"""Points of a patch along an axis, in half widths."""
 
+# Far points: along a ridge in roots of half widths, and across it in half widths
 _FAN = list(itertools.product((-1.0, 1.0), np.linspace(-1.0, 1.0, 15).tolist()))
-"""Far points: along a ridge in roots of half widths, and across it in half widths."""
 
 
 class Box(NamedTuple):
@@ -77,78 +75,61 @@ class Optimum(NamedTuple):
 
 
 def maximise(
-    score: Score,
-    box: Box,
-    *,
-    step: float,
-    starts: Sequence[tuple[float, float]] = (),
-    tolerance: float = 1e-5,
-    needed: float = 0.0,
-    rough: Score | None = None,
+    score: Score, box: Box, *, starts: Sequence[tuple[float, float]] = (), needed: float = 0.0,
+    rough: Score | None = None, is_local: bool = False,
 ) -> Optimum | None:
     """
     Find the layer with the highest score; of scores that are equal to 1e-9, the thinner one.
 
-    `step` is that of the grid, in logarithms, and `tolerance` the relative error of thickness and
-    wave speed. `starts` are thickness [m] and wave speed [m/s] of layers that start a search if
-    they beat the grid. `rough` is a faster upper bound of the score, which chooses the points of
-    the grid to search near. The result is None if no score is above `needed`.
+    `starts` are thickness [m] and wave speed [m/s] of layers that start a search as well; a local
+    search has no other ones. `rough` is a faster upper bound of the score, which chooses the
+    points of the grid to search near. The result is None if no score is above `needed`.
     """
-    low, high = np.log(np.array(box).T)
-    sizes = np.clip(np.ceil((high - low) / step).astype(int) + 1, *_POINTS)
-    sizes = np.where(high > low, sizes, 1)
+    bounds = np.transpose(box)
+    low, high = np.log(bounds)
+    is_free = high > low
+    step = _CELL ** (1.0 / max(is_free.sum(), 1))
+    sizes = np.ceil((high - low) / step).astype(int) + 1
     spacing = (high - low) / np.maximum(sizes - 1, 1)
 
     def at(points: Floats, needed: Floats | float = 0.0, score: Score = score) -> Floats:
         """Compute scores at points, the logarithms of thickness and wave speed."""
-        thickness, wave_speed = (
-            np.clip(np.exp(points[..., i].ravel()), *box[i]) for i in range(2)
-        )
+        thickness, wave_speed = np.clip(np.exp(points), *bounds).reshape(-1, 2).T
         needed = np.broadcast_to(needed, points.shape[:-1]).ravel()
         return score(thickness, wave_speed, needed).reshape(points.shape[:-1])
 
-    axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
-    points = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
-    scores = at(points, np.inf)
-    best = max(needed, at(points[np.argsort(-scores)[:_FIRST_POINTS]]).max())
-    is_near = scores >= (1.0 - NEAR) * best
-    scores[is_near] = at(points[is_near], score=rough or score)
-    around = scipy.ndimage.maximum_filter(scores.reshape(sizes), 3).ravel()
-    maxima = np.flatnonzero((scores >= around) & (scores > (1.0 - NEAR) * scores.max()))
-    points = points[maxima[np.argsort(-scores[maxima], kind='stable')[:_SEARCHES]]]
-    values = at(points)
-    if starts:
-        others = np.log(np.array(starts))
-        scores = at(others)
-        is_better = scores > values.max(initial=0.0)
-        points = np.concatenate([points, others[is_better]])
-        values = np.append(values, scores[is_better])
-    if (high > low).any():
-        points, values = _pattern_search(at, points, values, spacing, (low, high), tolerance)
+    points = np.reshape(np.log(starts), (-1, 2))
+    if not is_local:
+        axes = [np.linspace(low[i], high[i], sizes[i]) for i in range(2)]
+        grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
+        scores = at(grid, np.inf)
+        best = max(needed, at(grid[np.argsort(-scores)[:_SEARCHES]]).max())
+        is_near = scores >= (1.0 - NEAR) * best
+        scores[is_near] = at(grid[is_near], score=rough or score)
+        around = scipy.ndimage.maximum_filter(scores.reshape(sizes), 3).ravel()
+        maxima = np.flatnonzero((scores >= around) & (scores > (1.0 - NEAR) * scores.max()))
+        highest = maxima[np.argsort(-scores[maxima], kind='stable')[:_SEARCHES]]
+        points = np.concatenate([grid[highest], points])
+    points, values = _pattern_search(at, points, spacing, low, high)
     if not values.max(initial=0.0) > needed:
         return None
     is_best = values >= (1.0 - EQUAL) * values.max()
     thinnest = np.flatnonzero(is_best)[points[is_best, 0].argmin()]
-    thickness, wave_speed = np.clip(np.exp(points[thinnest]), *np.transpose(box)).tolist()
+    thickness, wave_speed = np.clip(np.exp(points[thinnest]), *bounds).tolist()
     return Optimum(thickness, wave_speed, float(values[thinnest]))
 
 
 def _pattern_search(
-    at: Callable[..., Floats],
-    points: Floats,
-    values: Floats,
-    spacing: Floats,
-    box: tuple[Floats, Floats],
-    tolerance: float,
+    at: Callable[..., Floats], points: Floats, spacing: Floats, low: Floats, high: Floats
 ) -> tuple[Floats, Floats]:
     """Move patches to their best points and shrink them; return the points and their scores."""
     is_free = spacing > 0.0
     near = np.array(list(itertools.product(*(_PATCH if free else (0.0,) for free in is_free))))
     far = np.array(_FAN if is_free.all() else []).reshape(-1, 2)
     is_edge = np.abs(np.concatenate([near, far])).max(axis=1) == 1.0
-    widths = np.ones(len(points))
+    values, widths = at(points), np.ones(len(points))
     for _ in range(_MAX_ROUNDS):
-        if widths.max(initial=0.0) * spacing.max() < tolerance:
+        if widths.max(initial=0.0) * spacing.max() < _TOLERANCE:
             break
         scale = widths[:, None, None]
         moves = np.concatenate(
@@ -156,14 +137,15 @@ def _pattern_search(
         ) * spacing
         if is_free.all():
             moves[..., 1] += moves[..., 0]  # along a line of equal kappa
-        patches = np.clip(points[:, None] + moves, *box)
+        patches = np.clip(points[:, None] + moves, low, high)
         scores = at(patches, values[:, None])
         best = scores.argmax(axis=1)
         rows = np.arange(len(points))
-        is_better = scores[rows, best] > (1.0 + _ROUNDING) * values
+        is_better = scores[rows, best] > (1.0 + EQUAL) * values
         points = np.where(is_better[:, None], patches[rows, best], points)
         values = np.where(is_better, scores[rows, best], values)
-        widths = np.where(is_better & is_edge[best], widths, _SHRINK * widths)
+        # the next patch lies between the points of this one
+        widths = np.where(is_better & is_edge[best], widths, (_PATCH[1] - _PATCH[0]) * widths)
         is_candidate = values >= (1.0 - NEAR * widths) * values.max()
         points, values, widths = points[is_candidate], values[is_candidate], widths[is_candidate]
     return points, values

@@ -42,7 +42,7 @@ CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=5)))
 
 _SAMPLE, _FEW = 1000, 200  # throws of a prediction, and of a share without a release
 _JUMP = 0.1  # part of the range of ejection times that is a jump if it has no throw [-]
-_ROOT = 1.1347241384015194  # of x^6 = x + 1, for the five uncertain values
+_ROOT = np.roots([1.0, *[0.0] * (CORNERS.shape[1] - 1), -1.0, -1.0]).real.max()  # see Notes
 _OF_LAYER = ('thickness', 'wave_speed', 'density', 'youngs_modulus', 'loss_tangent')
 
 

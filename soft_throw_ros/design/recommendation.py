@@ -9,7 +9,7 @@ The first release counts, because it is more predictable than later ones.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 import math
 from typing import Any, get_args, Literal, NamedTuple, TypeAlias
@@ -20,7 +20,7 @@ from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.configuration.layers import library, Material
 from soft_throw_ros.core.batch import Cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Layer, Rig
-from soft_throw_ros.core.throw import SEARCH_CELLS
+from soft_throw_ros.core.throw import rig_with, SEARCH_CELLS
 from soft_throw_ros.design.aiming import Aim, aim
 from soft_throw_ros.design.maximise import Box, EQUAL, maximise, NEAR, Optimum
 from soft_throw_ros.design.motion import design_motion, MotionDesign, PlateLimits
@@ -45,9 +45,6 @@ MAX_STUCK_FRACTION = 0.05
 
 _LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
-_STRONG_GRAVITY = 0.2  # over the largest acceleration of the plate; beyond, maxima are narrow [-]
-_HOLDING_GRAVITY = 4.0  # likewise; beyond, no layer is searched for: none throws above 3.1 [-]
-_NEARBY = 0.03  # relative half width of a search with all cells [-]
 _MAX_CANDIDATES = 5  # layers of the library that are compared with all cells
 
 
@@ -207,12 +204,12 @@ def recommend(
     ranked = by[vary] if vary in by else search.rank(
         spaces, [item.rig.layer for items in by.values() for item in items]
     )
+    box = limits.box if vary == 'library' else spaces[0].box
     candidates = tuple(
         LibraryCandidate(item.name, item.rig.layer.thickness, item.score)
         for item in ranked
         if vary == 'library'
     )
-    box = limits.box if vary == 'library' else spaces[0].box
     present = search.evaluate(rig)
     if present.score > 0.0 and box.contains(rig.layer.thickness, rig.layer.wave_speed):
         ranked = [present, *ranked]
@@ -277,11 +274,6 @@ class _Space(NamedTuple):
     box: Box
     name: str = ''
 
-    def with_layer(self, thickness: float, wave_speed: float, _score: float = 0.0) -> Rig:
-        """Return the rig with a layer of the box."""
-        layer = replace(self.rig.layer, thickness=thickness, wave_speed=wave_speed)
-        return replace(self.rig, layer=layer)
-
 
 def _spaces(
     rig: Rig, vary: str, limits: Limits, materials: Mapping[str, Material] | None = None
@@ -300,20 +292,12 @@ def _spaces(
         return [_Space(rig, box)]
     spaces = []
     for material in (materials or {}).values():
-        speed = material.wave_speed
+        speed, values = material.wave_speed, material.settings.items()
+        sheet = rig_with(rig, {name.removeprefix('layer.'): value for name, value in values})
         for low, high in [(size, size) for size in material.thicknesses] or [box.thickness]:
-            if material.is_ideal or not box.contains(low, speed):
-                continue
-            sheet = replace(
-                layer,
-                thickness=low if low == high else layer.thickness,
-                wave_speed=speed,
-                density=material.density,
-                loss_tangent=material.loss_tangent,
-                diameter=material.diameter or layer.diameter,
-            )
-            space = Box((low, high), (speed, speed))
-            spaces.append(_Space(replace(rig, layer=sheet), space, material.layer_name(low)))
+            if not material.is_ideal and box.contains(low, speed):
+                space = Box((low, high), (speed, speed))
+                spaces.append(_Space(sheet, space, material.layer_name(low)))
     return spaces
 
 
@@ -335,19 +319,14 @@ class _Search(NamedTuple):
     def rank(self, spaces: list[_Space], starts: Sequence[Layer] = ()) -> list[_Candidate]:
         """Find the best layers of spaces with few cells, and the best of them once more."""
         optima: list[tuple[_Space, Optimum]] = []
+        layers = [(layer.thickness, layer.wave_speed) for layer in starts]
         for space in spaces:
-            if space.rig.gravity_ratio > _HOLDING_GRAVITY:
-                continue
-            has_cells = space.rig.layer.needs_cells
-            layers = [(layer.thickness, layer.wave_speed) for layer in starts]
-            score = self._score(space.rig, SEARCH_CELLS if has_cells else None)
+            score = self._score(space.rig, SEARCH_CELLS if space.rig.layer.needs_cells else None)
             optimum = maximise(
                 score,
                 space.box,
                 rough=partial(score, stages=2),
-                step=self._grid_step(space),
                 starts=[layer for layer in layers if space.box.contains(*layer)],
-                tolerance=5e-4 if has_cells else 1e-4,
                 needed=(1.0 - NEAR) * max((item.score for _, item in optima), default=0.0),
             )
             if optimum is not None:
@@ -366,28 +345,11 @@ class _Search(NamedTuple):
     def _score(self, rig: Rig, cells: int | None = None) -> Score:
         return Score(rig, self.objective, self.limits, cells=cells, cancelled=self.cancelled)
 
-    def _grid_step(self, space: _Space) -> float:
-        """Return the step of the grid of a search, in logarithms [-]."""
-        # A stepper takes thirty times as long as the closed form. Under strong gravity the maxima
-        # are too narrow for its coarse grid, with limits of loads or not.
-        step, gravity = 0.06, space.rig.gravity_ratio
-        if _STRONG_GRAVITY < gravity < 1.0:
-            step = 0.09
-        elif gravity < 1.0 and (space.rig.layer.needs_cells or self.limits.of_loads):
-            step = 0.12
-        has_one_axis = any(low == high for low, high in space.box)
-        return (0.2 if space.rig.layer.needs_cells else 0.1) * step if has_one_axis else step
-
     def _finish(self, space: _Space, optimum: Optimum) -> _Candidate:
         """Score a layer with all cells, and search near it if its score is lower than it was."""
-        exact = self.evaluate(space.with_layer(*optimum), space.name)
-        if exact.score >= (1.0 - _COARSE_ERROR) * optimum.score:
-            return exact
-        nearby = Box(*(
-            (max(low, value * (1.0 - _NEARBY)), min(high, value * (1.0 + _NEARBY)))
-            for (low, high), value in zip(space.box, optimum, strict=False)
-        ))
-        best = maximise(
-            self._score(space.rig), nearby, step=_NEARBY, starts=[optimum[:2]], tolerance=1e-3
-        )
-        return _Candidate(space.with_layer(*best), best.score, space.name) if best else exact
+        score, layer = self._score(space.rig), optimum[:2]
+        best = optimum._replace(score=float(score(*layer)[0]))
+        if best.score < (1.0 - _COARSE_ERROR) * optimum.score:
+            best = maximise(score, space.box, starts=[layer], is_local=True) or best
+        rig = rig_with(space.rig, dict(zip(Optimum._fields[:2], best, strict=False)))
+        return _Candidate(rig, best.score, space.name)

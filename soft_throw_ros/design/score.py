@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 Objective: TypeAlias = Callable[[Rig], Floats]
 """The throws of a rig that score its layer, as variants; the lowest energy transfer counts."""
 
+# Throws of a layer in stages; a layer that is worse than another is not computed to the end
 _STAGES = (slice(0, 1), slice(1, 5), slice(5, None))
-"""Throws of a layer in stages; a layer that is worse than another is not computed to the end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +59,6 @@ class Limits:
         thickness = self.thickness_min, self.thickness_max
         return Box(thickness, (self.wave_speed_min, self.wave_speed_max))
 
-    @property
-    def of_loads(self) -> bool:
-        """Whether strain or acceleration is limited."""
-        return min(self.max_strain, self.max_acceleration) < math.inf
-
 
 def peak(rig: Rig) -> Floats:
     """Return the throw of a rig itself: the most energy from one throw."""
@@ -96,6 +91,7 @@ def versatile(rig: Rig, *, masses: Sequence[float], frequencies: Sequence[float]
     return variants
 
 
+@dataclass(eq=False)
 class Score:
     """
     Scores of layers for an objective: the function that `maximise` maximises.
@@ -105,20 +101,14 @@ class Score:
     `cancelled` are arguments of `throw_many`.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        objective: Objective,
-        limits: Limits | None = None,
-        *,
-        cells: int | None = None,
-        cancelled: Cancelled | None = None,
-    ) -> None:
-        self._rig = rig
-        self._limits = limits or Limits()
-        self._cells = cells
-        self._cancelled = cancelled
-        self._variants = objective(rig)
+    rig: Rig
+    objective: Objective
+    limits: Limits = Limits()
+    cells: int | None = None
+    cancelled: Cancelled | None = None
+
+    def __post_init__(self) -> None:
+        self._variants = self.objective(self.rig)
         self._order = np.arange(len(self._variants))
 
     def __call__(
@@ -152,14 +142,14 @@ class Score:
         self, thickness: Floats, wave_speed: Floats, numbers: NDArray[np.intp]
     ) -> Floats:
         """Return the energy transfers of some throws of each layer, 0 beyond a limit [-]."""
-        limits = self._limits
-        variants = self._variants[numbers]
+        limits = self.limits
+        has_limits = min(limits.max_strain, limits.max_acceleration) < math.inf
+        changes = changes_of(self._variants[numbers], thickness[:, None], wave_speed[:, None])
         throws = throw_many(
-            self._rig, changes_of(variants, thickness[:, None], wave_speed[:, None]),
-            loads=limits.of_loads, cells=self._cells, cancelled=self._cancelled,
+            self.rig, changes, loads=has_limits, cells=self.cells, cancelled=self.cancelled
         )
         transfers: Floats = np.nan_to_num(throws.energy_transfer)
-        if limits.of_loads:
+        if has_limits:
             is_within = throws.peak_strain <= limits.max_strain
             is_within &= throws.peak_acceleration <= limits.max_acceleration
             transfers[~is_within] = 0.0
