@@ -9,17 +9,10 @@ options of the commands. This package may import `core` and `storage`.
 """
 
 from soft_throw_ros.configuration.node_tables import RECORDER
-from soft_throw_ros.configuration.table import (
-    Entry,
-    ParameterError,
-    Scalar,
-    Settings,
-    Table,
-    Value,
-)
+from soft_throw_ros.configuration.table import ParameterError, Scalar, Settings, Table, Value
 from soft_throw_ros.configuration.twin import rig_of, rig_values, TWIN
 
 __all__ = [
-    'RECORDER', 'TWIN', 'Entry', 'ParameterError', 'Scalar', 'Settings', 'Table', 'Value',
-    'rig_of', 'rig_values',
+    'RECORDER', 'TWIN', 'ParameterError', 'Scalar', 'Settings', 'Table', 'Value', 'rig_of',
+    'rig_values',
 ]

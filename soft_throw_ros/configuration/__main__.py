@@ -29,23 +29,21 @@ _PARAMETERS = f"""\
 SI units. Written from the tables by `{_COMMAND}`.
 
 A number may also be text, as which YAML 1.1 reads `5e-06`. A request to change a read-only
-parameter is refused; `ros2 param load` of a dump reports this, and sets all others. The values
-of a request are set in the order of these tables, so that the later of two values that contradict
-each other wins; values of a file that are present already do not count. Every change within its
-range is accepted, if the rig can be computed in time and a controller can play a commanded
-motion.
+parameter is refused; `ros2 param load` of a dump reports this, and sets all others. The values of
+a request are set in the order of these tables, so that the later of two that contradict each other
+wins; values of a file that are present already do not count. Every change within its range is
+accepted, if the rig can be computed in time and a controller can play a commanded motion.
 """
 
 _TOPICS = f"""\
 # Topics and services
 
-SI units; z points up from the rest position of the plate, in the frame `rig`.
-`~` stands for the full name of the node, such as `/twin` or `/rig1/twin`;
-a name without leading slash is relative to its namespace. The queue is the number of
-messages kept (keep last); topics are reliable unless it says otherwise, and a latched
-topic (transient local) sends its queue to late subscribers.
-Joints or axes follow the content. [results.md](results.md) has the keys of `~/throw_result`.
-Written from the tables by `{_COMMAND}`.
+SI units; z points up from the rest position of the plate, in the frame `rig`. `~` stands for the
+full name of the node, such as `/twin` or `/rig1/twin`; a name without leading slash is relative to
+its namespace. The queue is the number of messages kept (keep last); topics are reliable unless it
+says otherwise, and a latched topic (transient local) sends its queue to late subscribers. Joints
+or axes follow the content. [results.md](results.md) has the keys of `~/throw_result`. Written from
+the tables by `{_COMMAND}`.
 """
 
 

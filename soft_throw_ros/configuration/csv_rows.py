@@ -16,7 +16,7 @@ from soft_throw_ros.configuration.table import float_of, quote
 
 Floats = NDArray[np.float64]
 
-MIN_STEP = 1e-12  # smallest increase of time between two rows [s]
+MIN_STEP = np.finfo(float).eps  # smallest increase of time, the rounding of a second [s]
 _MISSING = ('', 'nan', 'na', 'n/a')
 _MICRO = str.maketrans({'\N{MICRO SIGN}': 'u', '\N{GREEK SMALL LETTER MU}': 'u'})
 
@@ -127,22 +127,21 @@ def _find_columns(
 ) -> dict[str, tuple[int, float]]:
     """Return index and SI value of the unit of each column that has a label, the time first."""
     sources: dict[str, tuple[int, float]] = {}
-    for index, (label, stated) in enumerate(map(parse_label, cells)):
-        for key, column in columns.items():
-            if label not in column.labels:
-                continue
-            if key in sources:
-                rule = f'{key} must be there once, got {quote(cells[index])} too'
-                raise ValueError(f'{where}: {rule}')
-            unit = stated or column.default_unit
+    heads = [parse_label(cell) for cell in cells]
+    for number, (key, column) in enumerate(columns.items()):
+        found = [index for index, (label, _) in enumerate(heads) if label in column.labels]
+        if not found and number < 2:
+            raise ValueError(
+                f'{where}: no column is named {" or ".join(column.labels)}, '
+                f'got {quote(", ".join(cells))}; lines above the names must begin with #'
+            )
+        if len(found) > 1:
+            rule = f'{key} must be there once, got {quote(cells[found[1]])} too'
+            raise ValueError(f'{where}: {rule}')
+        for index in found:
+            unit = heads[index][1] or column.default_unit
             if unit not in column.units:
                 rule = f'{key} must be in {" or ".join(column.units)}'
                 raise ValueError(f'{where}: {rule}, got {quote(cells[index])}')
             sources[key] = index, column.units[unit]
-    for key in list(columns)[:2]:
-        if key not in sources:
-            raise ValueError(
-                f'{where}: no column is named {" or ".join(columns[key].labels)}, '
-                f'got {quote(", ".join(cells))}; lines above the names must begin with #'
-            )
-    return {key: sources[key] for key in columns if key in sources}
+    return sources

@@ -66,67 +66,54 @@ class TwinTopics(NamedTuple):
     """Topics of the twin."""
 
     joint_states: Topic = Topic(
-        '~/joint_states', JOINT_STATE,
-        'Height, velocity and force of plate and projectile, one message per tick',
-        depth=_ONE_SECOND, joints=JOINTS)
+        '~/joint_states', JOINT_STATE, 'Height, velocity and force of plate and projectile, one '
+        'message per tick', depth=_ONE_SECOND, joints=JOINTS)
     layer_joint_states: Topic = Topic(
-        '~/layer/joint_states', JOINT_STATE,
-        'Height, velocity and compressive force of 64 points of the layer from plate to top, at '
-        '`rate.field`', depth=100, joints=LAYER_JOINTS)
+        '~/layer/joint_states', JOINT_STATE, 'Height, velocity and compressive force of 64 points '
+        'of the layer from plate to top, at `rate.field`', depth=100, joints=LAYER_JOINTS)
     throw_field: Topic = Topic(
-        '~/throw_field', CLOUD,
-        'Strain of the layer over time t since the stamp (the start) [s] in rows and height y in '
-        'the layer at rest [m] in columns, once per throw',
+        '~/throw_field', CLOUD, 'Strain of the layer over time t since the stamp (the start) [s] '
+        'in rows and height y in the layer at rest [m] in columns, once per throw',
         is_latched=True, axes=('t', 'y', 'strain'))
     throw_energies: Topic = Topic(
-        '~/throw_energies', CLOUD,
-        'Time t [s] as above, work of the plate, and energy of projectile, layer and both [J], up '
-        'to the first release', is_latched=True, axes=ENERGIES)
+        '~/throw_energies', CLOUD, 'Time t [s] as above, work of the plate, and energy of '
+        'projectile, layer and both [J], up to the first release', is_latched=True, axes=ENERGIES)
     phase: Topic = Topic(
         '~/phase', TEXT, '`rest`, `contact`, `flight`, `landed` or `returning`, on change',
         is_latched=True)
     phase_change: Topic = Topic(
-        '~/phase_change', JOINT_STATE,
-        'Phase as a number, with the time of the change as stamp: 0 `rest`, 1 `contact`, '
-        '2 `flight`, 3 `landed`, 4 `returning`',
-        depth=_SEVERAL, is_latched=True, joints=('phase',), quantities=('position',))
+        '~/phase_change', JOINT_STATE, 'Phase as a number, with the time of the change as stamp: '
+        '0 `rest`, 1 `contact`, 2 `flight`, 3 `landed`, 4 `returning`', depth=_SEVERAL,
+        is_latched=True, joints=('phase',), quantities=('position',))
     throw_result: Topic = Topic(
-        '~/throw_result', ARRAY,
-        'Result of a throw, at its first release and at its end, with that time as stamp; with a '
-        'measured plate also its prediction, within 3 % and again when it is certain',
-        depth=2, is_latched=True)
+        '~/throw_result', ARRAY, 'Result of a throw, stamped with its first release or its end; '
+        'of a measured plate also predictions, at 3 % and certain', depth=2, is_latched=True)
     ejection_time: Topic = Topic(
-        '~/throw/ejection_time', NUMBER,
-        'Time from the start of the last throw to its first release [s]; nan without a release',
-        is_latched=True)
+        '~/throw/ejection_time', NUMBER, 'Time from the start of the last throw to its first '
+        'release [s]; nan without a release', is_latched=True)
     ejection_speed: Topic = Topic(
         '~/throw/ejection_speed', NUMBER, 'Speed at this release [m/s]', is_latched=True)
     energy_transfer: Topic = Topic(
-        '~/throw/energy_transfer', NUMBER, 'Energy transfer factor alpha of this release',
-        is_latched=True)
+        '~/throw/energy_transfer', NUMBER, 'Its energy transfer factor alpha', is_latched=True)
     recommendation: Topic = Topic(
         '~/recommendation', ARRAY, 'Best layer for the rig, after every change', is_latched=True)
     journal: Topic = Topic(
-        '~/journal', TEXT, 'All data needed to repeat the run, as lines of JSON',
-        depth=_OF_A_JOURNAL, is_latched=True)
+        '~/journal', TEXT, 'All data to repeat the run, in JSON', _OF_A_JOURNAL, is_latched=True)
     predicted_joint_states: Topic = Topic(
         '~/predicted_joint_states', JOINT_STATE,
         'With a measured plate, the projectile as far ahead as possible, with the predicted time '
         'as stamp, one message per tick of a throw', depth=_ONE_SECOND, joints=('projectile',))
     residual: Topic = Topic(
-        '~/residual', JOINT_STATE,
-        'Model minus measured positions, if both bodies are measured, with the stamps of the '
-        'samples, until a period of the plate after the release',
+        '~/residual', JOINT_STATE, 'Model minus measured positions, if both bodies are measured, '
+        'with the stamps of the samples, until a period of the plate after the release',
         depth=_ONE_SECOND, joints=JOINTS, quantities=('position',))
     measured_joint_states: Topic = Topic(
-        '~/measured_joint_states', JOINT_STATE,
-        'Positions of the plate and optionally of the projectile, with the time of measurement as '
-        'stamp, at 2 to 10 kHz', depth=_ONE_SECOND, is_reliable=False, joints=JOINTS,
-        quantities=('position',), is_input=True)
+        '~/measured_joint_states', JOINT_STATE, 'Positions of the plate and optionally of the '
+        'projectile, with the time of measurement as stamp, at 2 to 10 kHz', depth=_ONE_SECOND,
+        is_reliable=False, joints=JOINTS, quantities=('position',), is_input=True)
     plate_trajectory: Topic = Topic(
-        '~/plate_trajectory', TRAJECTORY,
-        'Motion of the plate for a controller, with the start of the throw as stamp, if '
-        '`engine.command` is true')
+        '~/plate_trajectory', TRAJECTORY, 'Motion of the plate for a controller, with the start '
+        'of the throw as stamp, if `engine.command` is true')
     diagnostics: Topic = _diagnostics('Timing, pending changes and measurements of the twin')
 
 
@@ -134,8 +121,7 @@ class RecorderTopics(NamedTuple):
     """Topics of the recorder, besides the recorded topics."""
 
     status: Topic = Topic(
-        '~/status', ARRAY, 'State of the recorder and path of the bag, on change',
-        depth=_SEVERAL, is_latched=True)
+        '~/status', ARRAY, 'State of recorder and bag, on change', depth=_SEVERAL, is_latched=True)
     diagnostics: Topic = _diagnostics('Recorded and lost messages')
 
 
@@ -164,8 +150,7 @@ class CalibratorTopics(NamedTuple):
 class TwinServices(NamedTuple):
     """Services of the twin."""
 
-    throw: Service = Service(
-        '~/throw', 'Throw now; rejected during a throw, with the remaining time')
+    throw: Service = Service('~/throw', 'Throw now; rejected during a throw')
     reset: Service = Service('~/reset', 'Abort the throw, and return plate and projectile to rest')
     apply_recommendation: Service = Service(
         '~/apply_recommendation', 'Apply the recommended layer, amplitude or motion')
@@ -195,15 +180,12 @@ TWIN_SERVICES = TwinServices()
 RECORDER_SERVICES = RecorderServices()
 REPLAY_SERVICES = ReplayServices()
 
+# Topics and services of all nodes, by their usual names
 INTERFACES: Mapping[str, tuple[Iterable[Topic], Iterable[Service]]] = {
-    'twin': (TWIN_TOPICS, TWIN_SERVICES),
-    'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
-    'viewer': ((VIEWER_DIAGNOSTICS,), ()),
-    'replay': ((REPLAY_CLOCK,), REPLAY_SERVICES),
-    'rig': (RIG_TOPICS, ()),
-    'calibrator': (CALIBRATOR_TOPICS, ()),
+    'twin': (TWIN_TOPICS, TWIN_SERVICES), 'recorder': (RECORDER_TOPICS, RECORDER_SERVICES),
+    'viewer': ((VIEWER_DIAGNOSTICS,), ()), 'replay': ((REPLAY_CLOCK,), REPLAY_SERVICES),
+    'rig': (RIG_TOPICS, ()), 'calibrator': (CALIBRATOR_TOPICS, ()),
 }
-"""Topics and services of all nodes, by their usual names."""
 
 _FINDABLE = sorted((*TWIN_TOPICS, *RECORDER_TOPICS), key=lambda topic: -len(topic.name))
 

@@ -20,24 +20,20 @@ from soft_throw_ros.configuration.table import number_of, ParameterError, quote,
 from soft_throw_ros.configuration.yaml_file import read_yaml
 from soft_throw_ros.core.rig import Layer
 
-CUSTOM = 'custom'
-"""Name of a layer that is in no library."""
+CUSTOM = 'custom'  # name of a layer that is in no library
 
+# Unit, smallest and largest value of each property of a layer
 BOUNDS: Mapping[str, tuple[str, float, float]] = {
-    'thickness': ('m', 0.5e-3, 0.1),
-    'wave_speed': ('m/s', 1.0, 200.0),
-    'density': ('kg/m3', 50.0, 5000.0),
-    'diameter': ('m', 1e-3, 0.2),
-    'loss_tangent': ('', 0.0, 2.0),
-    'youngs_modulus': ('Pa', 50.0, 2e8),
+    'thickness': ('m', 0.5e-3, 0.1), 'wave_speed': ('m/s', 1.0, 200.0),
+    'density': ('kg/m3', 50.0, 5000.0), 'diameter': ('m', 1e-3, 0.2),
+    'loss_tangent': ('', 0.0, 2.0), 'youngs_modulus': ('Pa', 50.0, 2e8),
 }
-"""Unit, smallest and largest value of each property of a layer."""
 
 _THINNEST_SHEET = 1e-4  # smallest thickness of a sheet [m]
 _MAX_SHEETS = 200  # sheets of a stack: the thickest layer has as many of half a millimetre [-]
 
+# Properties that each sheet of a stack and the whole stack have
 STACKED = ('thickness', 'wave_speed', 'density', 'loss_tangent')
-"""Properties that each sheet of a stack and the whole stack have."""
 
 # Properties of a material in a library: those of every one, and all
 _REQUIRED = {'description', 'source', 'density', 'loss_tangent'}
@@ -150,11 +146,9 @@ def _library(path: str, _changed_ns: int) -> Library:
             try:
                 material = _material(name, properties, {*materials, *layers})
                 materials[name] = material
-                if not material.thicknesses:
-                    layers[name] = material.settings
-                for thickness in material.thicknesses:
-                    values = {'layer.thickness': thickness, **material.settings}
-                    layers[material.layer_name(thickness)] = values
+                for size in material.thicknesses or (None,):
+                    own = {} if size is None else {'layer.thickness': size}
+                    layers[material.layer_name(size or 0.0)] = {**own, **material.settings}
             except ParameterError as error:
                 raise ParameterError(f'{file}: {quote(name)}: {error}') from None
     return Library(materials, layers)
@@ -187,6 +181,5 @@ def _material(name: object, values: Any, known: set[str]) -> Material:
         numbers['wave_speed'] = _bounded('wave_speed', speed)
     if not isinstance(sizes := values.get('thicknesses', []), list):
         raise ParameterError(f'thicknesses must be a list, got {quote(sizes)}')
-    thicknesses = tuple(_bounded('thickness', item) for item in sizes)
-    is_ideal = values.get('is_ideal') is True
-    return Material(name=str(name), thicknesses=thicknesses, is_ideal=is_ideal, **numbers)
+    numbers['thicknesses'] = tuple(_bounded('thickness', item) for item in sizes)
+    return Material(name=str(name), is_ideal=values.get('is_ideal') is True, **numbers)

@@ -22,21 +22,20 @@ from numpy.typing import ArrayLike
 from soft_throw_ros.configuration.csv_rows import Column, Floats, read_columns
 from soft_throw_ros.configuration.table import ParameterError, quote
 from soft_throw_ros.core.plate import require_samples, SampledMotion
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.storage.regular_file import read_regular_file
 
 PARAMETER = 'engine.motion_file'
 
 _COLUMNS = {
     'time': Column(('t', 'time'), {'s': 1.0, 'ms': 1e-3}, 's'),
-    'height': Column(
-        ('z', 'height', 'position', 'plate', 'z_plate', 'zp', 'z_p'),
-        {'m': 1.0, 'mm': 1e-3, 'um': 1e-6},
-        'm',
-    ),
+    'height': Column(('z', 'height', 'position', 'plate', 'z_plate', 'zp', 'z_p'),
+                     {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}, 'm'),
     'velocity': Column(('velocity',), {'m/s': 1.0}, 'm/s', needs_label=True),
     'acceleration': Column(('acceleration',), {'m/s2': 1.0}, 'm/s2', needs_label=True),
 }
 _STATES = ('height', 'velocity', 'acceleration')
+_FIELDS = ('positions', 'velocities', 'accelerations', 'time_from_start')
 
 _MAX_BYTES = 1 << 24  # largest CSV file, 100 s at 2.5 kHz; unpacked, a motion has four times more
 _MIN_SAMPLES = 8  # fewest heights of a record, and fewest after the start [-]
@@ -45,8 +44,8 @@ _MOTION_SIGMAS = 6.0  # standard deviations of the noise, from which on a plate 
 _MAX_RISE = 2.0  # largest time from the start to half of the largest height, for 1 Hz [s]
 _CERTAIN_MOTION = 0.3  # height over the largest one, at which a plate has certainly started [-]
 
+# Returns the motion of a plate by the path of its file
 MotionSource: TypeAlias = Callable[[str], SampledMotion]
-"""Returns the motion of a plate by the path of its file."""
 
 
 def read(path: str | Path) -> SampledMotion:
@@ -200,10 +199,9 @@ def to_csv(motion: SampledMotion) -> str:
 
 def trajectory_points(motion: SampledMotion) -> list[dict[str, Any]]:
     """Return a motion as the fields of messages `trajectory_msgs/JointTrajectoryPoint`."""
-    names = ('positions', 'velocities', 'accelerations')
     points = []
     for time, state in zip(motion.times.tolist(), motion.states.tolist(), strict=True):
-        seconds, nanoseconds = divmod(round(1e9 * time), 1_000_000_000)
-        point = {name: [value] for name, value in zip(names, state, strict=True)}
-        points.append(point | {'time_from_start': {'sec': seconds, 'nanosec': nanoseconds}})
+        since = dict(zip(('sec', 'nanosec'), divmod(round(1e9 * time), SECOND), strict=True))
+        states = ([value] for value in state)
+        points.append(dict(zip(_FIELDS, (*states, since), strict=True)))
     return points

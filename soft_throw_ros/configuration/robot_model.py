@@ -11,10 +11,7 @@ from xml.etree import ElementTree as ET
 from soft_throw_ros.configuration import files
 from soft_throw_ros.configuration.interface import JOINTS, LAYER_JOINTS
 from soft_throw_ros.configuration.table import Settings
-from soft_throw_ros.configuration.twin import joint_names
-
-_PLATE_OVER_LAYER = 2.5  # diameters of plate and layer, so that the rim of the plate is visible
-_SLICES_PER_LAYER = 14.0  # of which ten are drawn, whose gaps can close
+from soft_throw_ros.configuration.twin import joint_names, TWIN
 
 
 def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = '') -> str:
@@ -25,31 +22,26 @@ def urdf_of_file(urdf: str, path: str | Path, *, node: str, frame_prefix: str = 
     names of links, but not of joints: RViz looks for the frames of `/tf` by the names of links.
     """
     settings: Settings = files.read(path, node=node, is_required=False)
-    diameter, thickness = settings['layer.diameter'], settings['layer.thickness']
-    sizes = {
-        'plate': (_PLATE_OVER_LAYER * diameter, None),
-        'projectile': (diameter, settings['projectile.length']),
-        **dict.fromkeys(LAYER_JOINTS, (diameter, thickness / _SLICES_PER_LAYER)),
-    }
-    names = dict(zip(JOINTS, joint_names(settings), strict=True))
+    defaults: Settings = TWIN.defaults()
     robot = ET.fromstring(urdf)  # noqa: S314 the file of this package
+    lengths = {'projectile': 'projectile.length', **dict.fromkeys(LAYER_JOINTS, 'layer.thickness')}
+
+    def scale(element: Any, key: str, name: str) -> None:
+        """Scale a size of the default rig, the last number of an attribute, by a parameter."""
+        *others, size = element.attrib[key].split()
+        scaled = settings[name] * (float(size) / defaults[name])
+        element.set(key, ' '.join([*others, repr(scaled)]))
+
     for link in robot.iter('link'):
-        if link.attrib['name'] in sizes:
-            _resize(link, *sizes[link.attrib['name']])
+        for cylinder in link.iter('cylinder'):
+            scale(cylinder, 'radius', 'layer.diameter')
+            if link.attrib['name'] in lengths:
+                scale(cylinder, 'length', lengths[link.attrib['name']])
+                scale(link.find('.//origin'), 'xyz', lengths[link.attrib['name']])
+    names = dict(zip(JOINTS, joint_names(settings), strict=True))
     for joint in robot.iter('joint'):
         joint.set('name', names.get(joint.attrib['name'], joint.attrib['name']))
     for tag, key in (('link', 'name'), ('parent', 'link'), ('child', 'link')):
         for element in robot.iter(tag):
             element.set(key, frame_prefix + element.attrib[key])
     return ET.tostring(robot, encoding='unicode')
-
-
-def _resize(link: Any, diameter: float, length: float | None) -> None:
-    """Set the size of the cylinder of a link, and scale its distance from the origin likewise."""
-    cylinder, origin = link.find('.//cylinder'), link.find('.//origin')
-    cylinder.set('radius', repr(0.5 * diameter))
-    if length is not None:
-        x, y, z = map(float, origin.attrib['xyz'].split())
-        height = z * length / float(cylinder.attrib['length'])
-        cylinder.set('length', repr(length))
-        origin.set('xyz', f'{x!r} {y!r} {height!r}')

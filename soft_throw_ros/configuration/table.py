@@ -23,8 +23,7 @@ Scalar: TypeAlias = bool | float | int | str
 Value: TypeAlias = Scalar | tuple[str, ...] | tuple[float, ...]
 Settings: TypeAlias = Mapping[str, Any]
 
-NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'
-"""Names of nodes, topics and namespaces in ROS."""
+NAME = r'/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*'  # of nodes, topics and namespaces in ROS
 
 _MAX_TEXT = 16_384  # length of a text; a path has at most 4096 characters, a stack fewer than this
 _QUOTED = reprlib.Repr()
@@ -124,8 +123,7 @@ class Entry:
         """Return `value` as `convert` does; raise ParameterError if the rule does not allow it."""
         converted = None if self.is_result else self.convert(value)
         if converted is None:
-            rule = f'must be {self.rule}, got {quote(value)}'
-            raise ParameterError(f'{self.name} {rule}', self.name)
+            raise ParameterError(f'{self.name} must be {self.rule}, got {quote(value)}', self.name)
         return converted
 
 
@@ -138,8 +136,8 @@ class Table:
 
     node: str
     entries: tuple[Entry, ...]  # in the order of the documentation
+    # Returns the changes of complete settings that a new value of a name implies, or refuses it
     imply: Callable[[Settings, str, Any], Settings] = lambda _settings, _name, _value: {}
-    """Return the changes of complete settings that a new value of a name implies, or refuse it."""
 
     @cached_property
     def by_name(self) -> Mapping[str, Entry]:

@@ -22,25 +22,22 @@ _STACKED = tuple(f'layer.{name}' for name in STACKED)
 _NAMED = (*_STACKED, 'layer.diameter', 'layer.stack', 'layer.library')
 _TARGETS = ('recommendation.target_height', 'recommendation.target_speed')  # of which one is 0
 
+# Rows of the names of the joints
 JOINT_ROWS = tuple(
-    row(f'joint_names.{body}', body, f'Name of the {body} in all messages with joints',
-        kind='a text of at least one character', pattern='.+', is_fixed=True)
+    row(f'joint_names.{body}', body, f'Name of the {body} in messages', pattern='.+',
+        kind='a text of at least one character', is_fixed=True)
     for body in JOINTS
 )
-"""Rows of the names of the joints."""
 
 _ENTRIES = (
-    row('engine.motion_file', '',
-        'File of a motion of the plate, CSV of time and height, which a measured plate is '
-        'expected to follow; frequency and amplitude are then units',
+    row('engine.motion_file', '', 'CSV file of time and height of the plate, also expected of a '
+        'measured one; frequency and amplitude are then units',
         kind='the path of a file, or empty'),
-    row('engine.motion', 'underdamped',
-        'Motion of the plate: a damped step (D2), A (1 - cos wt) without damping (Eq. 1), that '
-        'of `engine.motion_file`, or that measured in `~/measured_joint_states`',
-        choices=('underdamped', 'harmonic', 'file', 'measured')),
-    row('engine.command', False,
-        'Publish the motion of `engine.motion_file` before each throw, for a controller; it '
-        'begins and ends at rest at the same height, and `time_scale` is 1'),
+    row('engine.motion', 'underdamped', 'Motion of the plate: a damped step (D2), A (1 - cos wt) '
+        'without damping (Eq. 1), that of `engine.motion_file`, or that measured in '
+        '`~/measured_joint_states`', choices=('underdamped', 'harmonic', 'file', 'measured')),
+    row('engine.command', False, 'Publish the motion of `engine.motion_file` before each throw; '
+        'it begins and ends at rest at the same height, and `time_scale` is 1'),
     row('engine.command_lead', 0.2,
         'Time from this message to the motion, up to `throw.period` / 4', 's', 0.01, 10.0),
     row('engine.frequency', Engine.frequency, 'Natural frequency of the plate', 'Hz', 1.0, 1000.0),
@@ -54,11 +51,9 @@ _ENTRIES = (
     row('measured.stamp_error', 1e-5, 'Standard deviation of the stamps', 's', 0.0, 1e-3),
     row('measured.residual_threshold', 1e-4,
         'Rms residual beyond which the model is reported as wrong', 'm', 1e-7, 1.0),
-    row('layer.library', '',
-        'File of materials besides those of `config/layers.yaml`, which describes the format',
+    row('layer.library', '', 'File of more materials, in the format of `config/layers.yaml`',
         kind='the path of a file, or empty'),
-    row('layer.name', 'gelatin_16.8mm',
-        'Layer of the library, which sets the values of the layer; `custom` after other changes',
+    row('layer.name', 'gelatin_16.8mm', 'Layer of the library; `custom` with values of its own',
         kind='a name in the library, or `custom`', examples=tuple(_INSTALLED.layers)),
     row('layer.thickness', Layer.thickness, 'Thickness L_s', *BOUNDS['thickness']),
     row('layer.wave_speed', Layer.wave_speed,
@@ -67,20 +62,17 @@ _ENTRIES = (
     row('layer.diameter', Layer.diameter, 'Diameter of the layer', *BOUNDS['diameter']),
     row('layer.loss_tangent', Layer.loss_tangent,
         "Loss tangent of the layer at the plate's frequency", *BOUNDS['loss_tangent']),
-    row('layer.stack', '',
-        'Sheets of the layer from the plate up, separated by commas: each is thickness and '
-        'material, or thickness, wave speed, density and perhaps loss tangent, as it is stored; '
-        'the values of the layer then describe the whole stack',
+    row('layer.stack', '', 'Sheets of the layer from the plate up, each thickness and material, '
+        'or thickness, wave speed, density and perhaps loss tangent, as it is stored; the values '
+        'of the layer then describe the whole stack',
         kind='sheets, as in `8e-3 gelatin, 2e-3 20 1100`, or empty'),
     row('layer.stress_strain_law', Layer.stress_strain_law,
         'Stress over strain: in proportion, or as in a neo-Hookean rod, which stiffens where it '
         'is compressed', choices=STRESS_STRAIN_LAWS),
-    row('layer.loss', Layer.loss,
-        'Loss tangent over frequency: growing (Kelvin and Voigt), or constant, as in gels',
-        choices=LOSSES),
+    row('layer.loss', Layer.loss, 'Loss tangent over frequency: growing (Kelvin and Voigt), or '
+        'constant, as in gels', choices=LOSSES),
     row('projectile.mass', Projectile.mass, 'Mass m of the projectile', 'kg', 1e-5, 1.0),
-    row('projectile.length', Projectile.length, 'Length L_r of the projectile, for pictures',
-        'm', 1e-4, 0.5),
+    row('projectile.length', Projectile.length, 'Length L_r, for pictures', 'm', 1e-4, 0.5),
     row('gravity', Rig.gravity, 'Gravity, towards the plate', 'm/s2', 0.0, 30.0),
     row('throw.period', 1.0, 'Time from one throw to the next; 0 throws only when asked',
         's', 0.05, 3600.0, or_zero=True),
@@ -90,22 +82,18 @@ _ENTRIES = (
     *JOINT_ROWS,
     row('time_scale', 1.0, 'Rig time over clock time; 0.01 is slow motion', '', 1e-4, 10.0),
     row('uncertainty.wave_speed', 0.3,
-        'Largest error of the wave speed; all errors up to it are equally likely',
-        'm/s', 0.0, 100.0),
+        'Largest error of the wave speed; all up to it are equally likely', 'm/s', 0.0, 100.0),
     row('uncertainty.thickness', 0.1e-3, 'Largest error of thickness, likewise', 'm', 0.0, 0.05),
     row('uncertainty.mass', 0.01, 'Largest relative error of the mass, likewise', '', 0.0, 0.9),
     row('uncertainty.frequency', 0.1, 'Largest error of the frequency, also of a measured plate',
         'Hz', 0.0, 500.0),
-    row('uncertainty.damping_ratio', 0.003, 'Largest error of the damping ratio, likewise',
-        '', 0.0, 0.5),
-    row('recommendation.objective', 'peak',
-        'Goal: the most energy per throw, the most in the worst case of the uncertainties, the '
-        'most in the worst of several throws, or the smallest amplitude that reaches a target',
-        choices=('peak', 'robust', 'versatile', 'aim')),
-    row('recommendation.vary', 'both',
-        'Properties that may change, except when aiming: thickness or wave speed of the layer, '
-        'both, the layer for one of the library, or the motion of the plate',
-        choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
+    row('uncertainty.damping_ratio', 0.003, 'Largest error of damping, likewise', '', 0.0, 0.5),
+    row('recommendation.objective', 'peak', 'The most energy in one throw, in the worst case of '
+        'the uncertainties, or in the worst of several throws, or the smallest amplitude that '
+        'reaches a target', choices=('peak', 'robust', 'versatile', 'aim')),
+    row('recommendation.vary', 'both', 'Properties that may change, except when aiming: thickness '
+        'or wave speed of the layer, both, the layer for one of the library, or the motion of the '
+        'plate', choices=('thickness', 'wave_speed', 'both', 'library', 'motion')),
     row('recommendation.plate_speed', 0.0, 'Largest speed of a designed motion; 0: as it is now',
         'm/s', 1e-3, 100.0, or_zero=True),
     row('recommendation.plate_acceleration', 0.0, 'Its largest acceleration, likewise',
@@ -118,8 +106,8 @@ _ENTRIES = (
     row('recommendation.wave_speed_max', 50.0, 'Fastest wave', *BOUNDS['wave_speed']),
     row('recommendation.max_strain', 0.0, 'Largest strain; 0 does not limit it',
         '', 1e-3, 10.0, or_zero=True),
-    row('recommendation.max_acceleration', 0.0, 'Largest acceleration of the projectile, likewise',
-        'm/s2', 1.0, 1e6, or_zero=True),
+    row('recommendation.max_acceleration', 0.0,
+        'Largest acceleration of the projectile, likewise', 'm/s2', 1.0, 1e6, or_zero=True),
     row('recommendation.masses', (1.2e-3, 2.4e-3), 'Projectiles of a versatile layer',
         'kg', 1e-5, 1.0, max_length=16),
     row('recommendation.frequencies', (31.1, 63.2), 'Frequencies of a versatile layer',
@@ -195,17 +183,16 @@ def _custom_layer(settings: Settings) -> Settings:
 TWIN = Table(node='twin', entries=_ENTRIES, imply=imply)
 """The parameters of the twin."""
 
+# Parameters that describe a rig, and require a new one when they change
 RIG_PARAMETERS = tuple(entry.name for entry in TWIN.entries if entry.is_of_rig)
-"""Parameters that describe a rig, and require a new one when they change."""
 
 
 def joint_names(settings: Settings) -> tuple[str, str]:
     """Return the names of plate and projectile; raise ParameterError if they are the same."""
     plate, projectile = (settings[entry.name] for entry in JOINT_ROWS)
     if plate == projectile:
-        name = 'joint_names.projectile'
-        rule = f'must differ from joint_names.plate, got {quote(plate)}'
-        raise ParameterError(f'{name} {rule}', name)
+        rule = f'joint_names.projectile must differ from joint_names.plate, got {quote(plate)}'
+        raise ParameterError(rule, 'joint_names.projectile')
     return plate, projectile
 
 
@@ -215,12 +202,9 @@ def rig_of(settings: Settings, motion_of: motions.MotionSource = motions.read) -
 
     `motion_of` returns the motion of the plate by the path of its file.
     """
-    return Rig(
-        engine=_engine(settings, motion_of),
-        layer=_layer(settings),
-        projectile=Projectile(**_values_of(Projectile, settings)),
-        gravity=settings['gravity'],
-    )
+    engine, projectile = _engine(settings, motion_of), _values_of(Projectile, settings)
+    return Rig(engine=engine, layer=_layer(settings), projectile=Projectile(**projectile),
+               gravity=settings['gravity'])
 
 
 def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
@@ -230,8 +214,8 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     if kind == 'harmonic':
         return replace(engine, damping_ratio=0.0)
     if kind == 'file' and not path:
-        rule = f"needs {motions.PARAMETER} (--motion-file), got ''"
-        raise ParameterError(f"engine.motion 'file' {rule}", motions.PARAMETER)
+        rule = "engine.motion 'file' needs engine.motion_file (--motion-file), got ''"
+        raise ParameterError(rule, motions.PARAMETER)
     return replace(engine, motion=motion_of(path)) if path and kind != 'underdamped' else engine
 
 

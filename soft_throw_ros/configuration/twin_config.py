@@ -18,12 +18,14 @@ from soft_throw_ros.core.plate import PlateMotion, Underdamped
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.message import SECOND
 
-T = TypeVar('T')
-
 _START_SPEED = 0.1  # speed at which a throw has started, over the peak speed by `engine.*` [-]
 
+T = TypeVar('T')
+
+_MEASURED = ('position_noise', 'stamp_error', 'residual_threshold')
+
+# Bound over standard deviation [-], of a quantity that is equally likely within its bounds
 BOUND_PER_DEVIATION = math.sqrt(3.0)
-"""Bound over standard deviation [-], of a quantity that is equally likely within its bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +76,9 @@ class TwinConfig:
     settings: Settings  # complete
     rig: Rig
 
-    motion = _value('engine.motion', str)
-    state_rate = _value('rate.state', float)
-    field_rate = _value('rate.field', float)
+    motion, max_events = _value('engine.motion', str), _value('throw.max_events', int)
+    state_rate, field_rate = _value('rate.state', float), _value('rate.field', float)
     throw_period = _value('throw.period', float)
-    max_events = _value('throw.max_events', int)
 
     @property
     def is_measured(self) -> bool:
@@ -98,10 +98,8 @@ class TwinConfig:
     @property
     def command_lead(self) -> float | None:
         """Time from the command of a motion to its start; None without commands [s]."""
-        lead = self.settings['engine.command_lead']
-        if not self.settings['engine.command']:
-            return None
-        return float(min(lead, 0.25 * self.throw_period) if self.throw_period else lead)
+        lead = self.settings['engine.command_lead'] if self.settings['engine.command'] else None
+        return min(lead, 0.25 * self.throw_period) if lead and self.throw_period else lead
 
     @cached_property
     def measurement(self) -> MeasurementConfig:
@@ -109,9 +107,7 @@ class TwinConfig:
         return MeasurementConfig(
             smoothing_window_ns=round(self.settings['measured.smoothing_window'] * SECOND),
             latency_ns=round(self.settings['measured.latency'] * SECOND),
-            position_noise=self.settings['measured.position_noise'],
-            stamp_error=self.settings['measured.stamp_error'],
-            residual_threshold=self.settings['measured.residual_threshold'],
+            **{name: self.settings[f'measured.{name}'] for name in _MEASURED},
             plate=Underdamped.of(self.rig.engine),
             motion=motion_of_engine(self.rig.engine),
             frequency_error=self.settings['uncertainty.frequency'] / BOUND_PER_DEVIATION,
@@ -123,6 +119,5 @@ class TwinConfig:
     ) -> TwinConfig:
         """Return the configuration of other settings; a rig whose parameters stay is kept."""
         is_same = all(settings[name] == self.settings[name] for name in RIG_PARAMETERS)
-        return TwinConfig(
-            settings=settings, rig=self.rig if is_same else rig_of(settings, motion_of)
-        )
+        rig = self.rig if is_same else rig_of(settings, motion_of)
+        return TwinConfig(settings=settings, rig=rig)

@@ -10,8 +10,8 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
-from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
-from soft_throw_ros.configuration.table import quote
+from soft_throw_ros.configuration import files, ParameterError, Settings, Table, Value
+from soft_throw_ros.configuration.table import Entry, quote
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
