@@ -415,5 +415,5 @@ def test_journal_of_samples_is_small_and_records_missing_samples() -> None:
     silent = Run(**MEASURED)
     silent.go(450)
     entries = silent.entries('samples')
-    assert [entry['step'] for entry in entries] == [101, 202, 303, 404]
+    assert [entry['step'] for entry in entries] == [100, 200, 300, 400]
     assert [entry['count'] for entry in entries] == [0] * 4
