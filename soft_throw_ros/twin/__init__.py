@@ -15,7 +15,7 @@ A sample of a measured plate passes the following stations:
 
 1. `sample_buffer.SampleBuffer` refuses it, or sorts it by its stamp. When it is complete,
    `sample_buffer.OutlierFilter` may remove it.
-2. `plate_monitor.PlateMonitor` detects from running means of the heights that a throw has
+2. `plate_monitor.PlateMonitor` detects from the smoothed speed of the plate that a throw has
    begun, and finds the `Onset`. It reports faults of the sensor.
 3. In a throw, `plate_observer.PlateObserver` smooths the samples, and continues the motion ahead
    of them.

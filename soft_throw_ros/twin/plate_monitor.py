@@ -104,9 +104,9 @@ class PlateMonitor:
         self._height += weight * (height - self._height)
         self._later += weight * (self._height - self._later)
         self._speed = (self._height - self._later) / lag
-        # white noise passes this filter by the last factor
-        least = OUTLIER_SIGMAS * config.position_noise / lag
-        least *= math.sqrt(2.0 * ratio / (2.0 + ratio) ** 3)
+        # the square root is the standard error of lag times speed, over that of the heights
+        error = config.position_noise / lag * math.sqrt(2.0 * ratio / (2.0 + ratio) ** 3)
+        least = OUTLIER_SIGMAS * error
         is_over = self._begun_ns is not None and stamp_ns >= self._begun_ns + window_ns
         if since_ns > window_ns or is_over:  # a gap, or it was no start
             self._disarm()

@@ -68,8 +68,7 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    fork: Stepper | None  # of the stepper, with a measured plate
-    release_response: ReleaseResponse | None  # likewise
+    ahead: tuple[Stepper, ReleaseResponse] | None  # a fork of the stepper, with a measured plate
 
     @property
     def rig(self) -> Rig:
@@ -80,11 +79,6 @@ class PreparedRig:
     def tick(self) -> float:
         """Time of the rig in one step [s]."""
         return self.config.time_scale / self.config.state_rate
-
-    @cached_property
-    def settling_time(self) -> float:
-        """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
-        return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
@@ -183,10 +177,10 @@ def prepare(
     if before is not None and waiting_values(settings) == waiting_values(before.config.settings):
         return dataclasses.replace(before, config=config)
     stepper = stepper_of(config)
-    throw_field = fork = response = None
+    throw_field = ahead = None
     if config.is_measured:
         _require_time(config, stepper)
-        fork, response = stepper.fork(), _release_response(config)
+        ahead = stepper.fork(), _release_response(config)
     else:
         release = _first_release(stepper)
         length = THROW_FIELD_LENGTH * (release.time if release else config.rig.longest_wait)
@@ -202,8 +196,7 @@ def prepare(
         rest_layer=layer_of(stepper),
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=throw_field,
-        fork=fork,
-        release_response=response,
+        ahead=ahead,
     )
 
 

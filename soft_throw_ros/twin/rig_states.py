@@ -196,7 +196,8 @@ class OngoingThrow(ABC):
         self.events: list[Event] = []  # so far
         self._prepared = session.prepared
         self._stepper = session.prepared.stepper
-        self._rest_speed = rest_speed
+        rig, self._rest_speed = session.prepared.rig, rest_speed
+        self._settling_time = 1.0 / min(rig.engine.frequency, rig.natural_frequency)
         self._last_moving_time = 0.0  # since the start [s]
         self._has_shown_field = False
 
@@ -259,7 +260,7 @@ class OngoingThrow(ABC):
                 self.ended_by = 'max_events'
         if time > LONGEST_THROW:
             self.ended_by = 'duration'
-        elif time - self._last_moving_time > self._prepared.settling_time and stepper.in_contact:
+        elif time - self._last_moving_time > self._settling_time and stepper.in_contact:
             self.ended_by = 'rest'
         return state, self.events[seen:]
 
@@ -363,9 +364,8 @@ class MeasuredThrow(OngoingThrow):
 
     def __init__(self, session: Session, onset: Onset, monitor: PlateMonitor) -> None:
         prepared, config = session.prepared, monitor.buffer.config
-        response, fork = prepared.release_response, prepared.fork
-        assert response is not None
-        assert fork is not None
+        assert prepared.ahead is not None
+        fork, response = prepared.ahead
         rest_speed = MEASURED_REST_SPEED * config.start_speed
         super().__init__(session, start_ns=onset.onset_ns, rest_speed=rest_speed)
         self._start_step = session.step
@@ -375,13 +375,14 @@ class MeasuredThrow(OngoingThrow):
         latest = _LONGER * response.release_time
         is_affordable = fork.cost * latest <= MOST_SHARE * prepared.tick
         self._latest_release = latest if is_affordable else 0.0  # predicted in a step [s]
-        self._settled = np.empty(0), np.empty((0, 3))  # times and states of the plate
-        self._path = self._settled  # after these, with the continuation
+        self._settled: list[Path] = []  # which do not change any more
+        self._path: Path = np.empty(0), np.empty((0, 3))  # after these, with the continuation
         self._now = 0.0  # time of the displayed state [s]
         self._period = 1.0 / config.plate.frequency  # of the plate [s]
         self._peak_by = 1.1 * config.motion.peak_velocity_time  # has its largest speed [s]
         self._compared = 0.0  # until when the projectile has been compared [s]
-        self._differences = [np.empty((2, 0))]  # times [s], and model minus projectile [m]
+        # times [s], and model minus projectile [m]
+        self._differences = [(np.empty(0), np.empty(0))]
         self._is_certain = False  # the plate cannot change the release any more
         self._accuracy: Accuracy | None = None  # of the last prediction, or of the release
         self._lead: float | None = None  # of the first prediction [s]
@@ -434,7 +435,7 @@ class MeasuredThrow(OngoingThrow):
             times, states = times[:settled], states[:settled]
             self._stepper.append_plate_states(times, states)
             if not self._has_shown_field:
-                self._settled = _joined(self._settled, (times, states))
+                self._settled.append((times, states))
 
     def _move_fork(self, time: float) -> State:
         """Advance the fork to a time, along the latest states of the plate."""
@@ -464,7 +465,7 @@ class MeasuredThrow(OngoingThrow):
             return events, None
         modelled[:, 1] -= self._prepared.rest.projectile_position
         differences = modelled - (samples.heights - (rest.plate, rest.projectile))
-        self._differences.append(np.stack((times, differences[:, 1])))
+        self._differences.append((times, differences[:, 1]))
         return events, Residual(int(samples.stamps[-1]), *differences[-1].tolist())
 
     def _predict(self, events: list[Event], known: float, due_ns: int) -> None:
@@ -482,7 +483,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _peak_plate_speed(self, release: Event | None) -> float:
         """Return the largest speed of the plate until both its peak and the release [m/s]."""
-        times, states = _joined(self._settled, self._path)
+        times, states = _joined([*self._settled, self._path])
         is_early = times <= max(self._peak_by, release.time if release else 0.0)
         _, speeds, accelerations = states[is_early].T
         gain, loss = accelerations[:-1].clip(1e-9), (-accelerations[1:]).clip(0.0)
@@ -518,7 +519,7 @@ class MeasuredThrow(OngoingThrow):
 
     def _compare(self) -> Comparison | None:
         """Compare the throw with the samples of the projectile; None if there are none."""
-        times, differences = np.concatenate(self._differences, axis=1)
+        times, differences = _joined(self._differences)
         until = self.events[0].time + self._period if self.events else math.inf
         counted = differences[times <= until]
         if not counted.size:
@@ -539,7 +540,8 @@ class MeasuredThrow(OngoingThrow):
         if max(length, self._peak_by) > known and not self.ended_by:
             return None
         self._has_shown_field = True
-        config, (times, states), start_ns = self._prepared.config, self._settled, self.start_ns
+        config, start_ns = self._prepared.config, self.start_ns
+        times, states = _joined(self._settled)
 
         def throw_field() -> ThrowField:
             stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
@@ -549,9 +551,10 @@ class MeasuredThrow(OngoingThrow):
         return throw_field
 
 
-def _joined(first: Path, second: Path) -> Path:
-    """Return both parts of a path."""
-    return np.concatenate((first[0], second[0])), np.concatenate((first[1], second[1]))
+def _joined(parts: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
+    """Join the arrays of all parts."""
+    first, second = map(np.concatenate, zip(*parts, strict=True))
+    return first, second
 
 
 RigState: TypeAlias = AtRest | OngoingThrow | Returning

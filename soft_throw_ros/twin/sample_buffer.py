@@ -155,7 +155,8 @@ class SampleBuffer:
         """Return the rate of the samples, 0 if there are too few [Hz]."""
         if len(self.samples) < FEWEST:
             return 0.0
-        return SECOND / float(np.sort(np.diff(self.samples.stamps))[len(self.samples) // 2])
+        intervals = np.sort(np.diff(self.samples.stamps))
+        return SECOND / float(intervals[intervals.size // 2])
 
     def add(self, samples: Samples, now_ns: int) -> Samples:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
