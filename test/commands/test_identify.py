@@ -169,9 +169,14 @@ STRANGERS = {  # lines, options, and a defect that is noted
     'lost samples': (with_height(2, '0.0', 150, 151, 152), (), 'stand still'),
     'outlier': (with_height(1, '4.0', 41), (), 'outlier'),
 }
+OF_ALL_TABLES = ('milliseconds', 'labels with units', 'decimal commas', 'empty rows')
+"""Those that `test_csv_rows` reads as well."""
 
 
-@pytest.mark.parametrize(('lines', 'options', 'note'), STRANGERS.values(), ids=STRANGERS.keys())
+@pytest.mark.parametrize(('lines', 'options', 'note'), [
+    pytest.param(*case, id=name, marks=[pytest.mark.slow] * (name in OF_ALL_TABLES))
+    for name, case in STRANGERS.items()
+])
 def test_files_of_strangers_are_read(command, write, sample, lines, options, note):
     result = command.json(write('\n'.join(lines)), '--unit', 'mm', *MEASURED, *options)
     for name in DEFAULT_FREE:
