@@ -53,15 +53,12 @@ def test_options_replace_values_of_the_file(command, write):
     assert command.run('--config', defaults) == command.run()
 
 
-@pytest.mark.parametrize(('amplitude', 'damping_ratio', 'texts'), [
-    (1e-5, 0.5, ['below gravity']),  # soon at rest
-    (2e-3, 0.064, []), (5e-3, 0.064, ['linear range']), (0.03, 0.064, ['impossible']),
+@pytest.mark.parametrize(('amplitude', 'texts'), [
+    (1e-5, ['below gravity']), (2e-3, []), (5e-3, ['linear range']), (0.03, ['impossible'])
 ])
-def test_plate_that_cannot_throw_and_large_strain_are_explained(
-    command, amplitude, damping_ratio, texts
-):
+def test_plate_that_cannot_throw_and_large_strain_are_explained(command, amplitude, texts):
     code = int(amplitude == 1e-5)
-    words = '--amplitude', amplitude, '-p', f'engine.damping_ratio:={damping_ratio}'
+    words = '--amplitude', amplitude, *code * ('-p', 'engine.damping_ratio:=0.5')  # soon at rest
     printed = command.run(*words, code=code)
     assert re.findall('below gravity|linear range|impossible', printed) == texts
     assert printed.startswith('no throw: ') == code

@@ -183,9 +183,7 @@ def test_large_throws_can_be_simulated(amplitude, layer):
 
 
 @pytest.mark.parametrize(
-    'case',
-    ['lossy', 'constant', 'gel',
-     *(pytest.param(case, marks=pytest.mark.slow) for case in ('stacked', 'gels'))],
+    'case', ['lossy', pytest.param('stacked', marks=pytest.mark.slow), 'constant', 'gel']
 )
 def test_heat_agrees_with_the_method_of_lines(case):
     heat = method_of_lines.first_release(CASES[case], cells=50)[2]

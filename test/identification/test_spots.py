@@ -64,8 +64,6 @@ SLOW = 90.0 - 0.4 * np.arange(80)
 
 @pytest.mark.parametrize(('width', 'grey', 'rows'), [
     (2.0, 20.0, FAST), (6.0, 120.0, FAST), (6.0, 200.0, SLOW), (16.0, 250.0, FAST),
-    pytest.param(2.0, 20.0, SLOW, marks=pytest.mark.slow),
-    pytest.param(16.0, 250.0, SLOW, marks=pytest.mark.slow),
 ])
 def test_covered_spot_is_missing_and_never_wrong(width, grey, rows):
     rng = np.random.default_rng(0)

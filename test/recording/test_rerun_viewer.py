@@ -23,13 +23,9 @@ from rrd_files import viewer_at  # noqa: E402, I100
 
 
 @pytest.fixture(scope='module')
-def home(tmp_path_factory) -> Path:
-    return tmp_path_factory.mktemp('home')
-
-
-@pytest.fixture(scope='module')
-def viewer(home) -> Iterator[Viewer]:
+def viewer(tmp_path_factory) -> Iterator[Viewer]:
     """Return a viewer with its own home; skip without graphics, where viewers end at once."""
+    home = tmp_path_factory.mktemp('home')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('XDG_DATA_HOME', str(home))
         patch.setenv('XDG_CONFIG_HOME', str(home / 'settings'))
@@ -72,7 +68,7 @@ def test_viewer_without_graphics_names_packages_to_install(monkeypatch) -> None:
         process.client()
 
 
-def test_viewer_collects_no_telemetry(viewer, home) -> None:
+def test_viewer_collects_no_telemetry(viewer) -> None:
     """Rerun would collect its telemetry in a folder before sending it."""
     time.sleep(1.0)
-    assert list(home.iterdir()) == []
+    assert list(Path(os.environ['XDG_DATA_HOME']).iterdir()) == []
