@@ -15,7 +15,7 @@ REFUSALS = [
     ('throw --thickness 16.8', r'argument --thickness: layer\.thickness .* m, got 16\.8'),
     ('throw --thickness soft', "argument --thickness: .* got 'soft'"),
     ('throw --layer jelly', "argument --layer: .* got 'jelly'"),
-    ('throw --motion nosuch.csv', 'nosuch.csv: No such file'),
+    ('throw --motion nosuch.csv', 'argument --motion: nosuch.csv: No such file'),
     ('throw --config nosuch.yaml', 'nosuch.yaml: '),
     ('throw -p gravity:=-1', 'argument -p: gravity must be .* got -1'),
     ('throw -p gravitation:=3', "argument -p: must be NAME:=VALUE .* 'gravitation:=3'"),
