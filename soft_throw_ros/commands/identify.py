@@ -158,6 +158,8 @@ def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(arguments.hold, FIXED))
     except ValueError as error:
         raise ValueError(f'argument --hold: {error}') from None
+    if both := known.keys() & arguments.hold:
+        raise ValueError(f'argument --hold: {min(both)} is certain, and must have no error')
     return description.change(known)
 
 
