@@ -214,7 +214,7 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     if kind == 'harmonic':
         return replace(engine, damping_ratio=0.0)
     if kind == 'file' and not path:
-        rule = "engine.motion 'file' needs engine.motion_file (--motion-file), got ''"
+        rule = "engine.motion 'file' needs engine.motion_file, got ''"
         raise ParameterError(rule, motions.PARAMETER)
     return replace(engine, motion=motion_of(path)) if path and kind != 'underdamped' else engine
 
