@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
 from rclpy.duration import Duration
 from rclpy.node import Node
-from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
+from soft_throw_ros.commands.warm_up import are_compiled, load_kernels
 from soft_throw_ros.configuration import Settings
 from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
 from soft_throw_ros.recording.child_process import bound_to_parent
@@ -240,7 +240,7 @@ class RealTimeNode(RunnableNode):
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
-        if before is None and missing_parts():
+        if before is None and not are_compiled():
             self.get_logger().info('compiling the kernels, once for this installation')
             # In a child process, because numba suppresses exceptions of signal handlers
             subprocess.run(
