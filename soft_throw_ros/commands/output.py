@@ -43,13 +43,26 @@ def run_command(
     parser: CommandParser,
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
+    *,
+    compiles: bool = False,
 ) -> int:
-    """Parse the arguments of a command and run it; report a ValueError as the parser's own."""
+    """
+    Parse the arguments of a command and run it; report a ValueError as the parser's own.
+
+    With `compiles`, print a notice if the command takes longer than two seconds.
+    """
     arguments = parser.parse_args(args)
+    text = 'computing; the first run compiles kernels, which takes half a minute'
+    notice = threading.Timer(2.0, print_note, (parser.prog, text))
+    notice.daemon = True
+    if compiles:
+        notice.start()
     try:
         return run(arguments)
     except ValueError as error:
         parser.error(str(error))
+    finally:
+        notice.cancel()
 
 
 @contextlib.contextmanager
@@ -81,19 +94,6 @@ def require(feature: str, extra: str, *modules: str) -> None:
                 f'{feature} needs the module {name}, which pip installs with '
                 f"'soft_throw_ros[{extra}]'"
             )
-
-
-@contextlib.contextmanager
-def slow_notice(command: str) -> Iterator[None]:
-    """Print a notice to standard error if a command computes for longer than two seconds."""
-    text = 'computing; the first run compiles kernels, which takes half a minute'
-    timer = threading.Timer(2.0, print_note, (command, text))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def print_note(command: str, text: str) -> None:
