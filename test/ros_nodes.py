@@ -198,8 +198,7 @@ class DrivenTwin(Twin):
         def is_settled() -> bool:
             self._run_jobs()
             state = self.recommendation
-            is_present = state is not None and state.is_for(self.parameters.settings)
-            return is_present and state.config is self._advised
+            return state is not None and state.config is self._advised is self._worker.request
 
         wait_until(is_settled, TIMEOUT)
         return self.recommendation

@@ -29,13 +29,8 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from soft_throw_ros.configuration import Settings
-from soft_throw_ros.configuration.interface import (
-    CALIBRATOR_TOPICS,
-    resolve,
-    TWIN_SERVICES,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration import interface, Settings
+from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, TWIN_TOPICS
 from soft_throw_ros.configuration.node_tables import CALIBRATOR, RIG
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
@@ -173,10 +168,10 @@ class Calibrator(RunnableNode):
         self._measured = MeasuredPositions(self, twin, self._joints)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
         self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
-        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
+        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._commands.append)
         self._twin = RemoteParameters(self, twin)
         self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
-        apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
+        apply = interface.resolve(interface.TWIN_SERVICES.apply_recommendation.name, twin)
         self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = self._outgoing.status('identification', 'nothing has been identified yet')
@@ -211,9 +206,6 @@ class Calibrator(RunnableNode):
             self._worker.join(STOP_TIMEOUT)
 
     # Executor thread
-
-    def _on_command(self, msg: JointTrajectory) -> None:
-        self._commands.append(msg)
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -385,26 +377,24 @@ def describe_gain(
     The errors have the larger scatter, among or within throws, and the common errors.
     """
     values: dict[str, object] = {}
-    means: list[Estimate] = []
     for name, throws in (('engine', by_engine), ('commanded', commanded)):
         speeds, errors = np.transpose([throw.speed for throw in throws])
         scatter = math.sqrt(float(np.mean(errors**2)))
         if speeds.size > 1:
             scatter = max(scatter, float(speeds.std(ddof=1)))
         error = math.hypot(scatter / math.sqrt(speeds.size), gravity * _RELEASE_TIME_ERROR)
-        speed = Estimate(float(speeds.mean()), error)
-        ratio = speed.value / float(np.mean([throw.peak_plate_speed for throw in throws]))
-        alpha = Estimate(ratio**2, 2.0 * ratio**2 * error / speed.value)
-        means += speed, alpha
-        values |= {
-            f'{name}.ejection_speed': speed,
-            f'{name}.energy_transfer': alpha,
-            f'{name}.throws': speeds.size,
-        }
-    before, alpha_before, after, alpha_after = means
+        mean = float(speeds.mean())
+        alpha = (mean / float(np.mean([throw.peak_plate_speed for throw in throws]))) ** 2
+        values[f'{name}.ejection_speed'] = Estimate(mean, error)
+        values[f'{name}.energy_transfer'] = Estimate(alpha, 2.0 * alpha * error / mean)
+        values[f'{name}.throws'] = speeds.size
+    speeds_text, alphas_text = (
+        f'{values[f"engine.{name}"]} -> {values[f"commanded.{name}"]}'
+        for name in ('ejection_speed', 'energy_transfer')
+    )
     return (
-        f'measured gain by the commanded motion: ejection speed {before} -> {after} m/s, '
-        f'energy transfer {alpha_before} -> {alpha_after}'
+        f'measured gain by the commanded motion: ejection speed {speeds_text} m/s, '
+        f'energy transfer {alphas_text}'
     ), values
 
 

@@ -121,23 +121,16 @@ class RawSubscription:
 
 class RawSubscriptions:
     """
-    Subscriptions of a node to all `wanted` topics and namespaces, made as topics appear.
+    Subscriptions of a node to all topics whose name and type `accepts`, made as topics appear.
 
-    `is_accepted` returns for the name and type of a wanted topic whether to subscribe. `refused`
-    has the topics and publishers that are not received, with the reasons, which are also logged.
+    `refused` has the topics and publishers that are not received, with the reasons, which are also
+    logged.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        wanted: Collection[str],
-        *,
-        is_accepted: Callable[[str, str], bool] = lambda _topic, _type: True,
-    ) -> None:
+    def __init__(self, node: Node, accepts: Callable[[str, str], bool]) -> None:
         self.refused: dict[str, str] = {}
-        self._is_accepted = is_accepted
+        self._accepts = accepts
         self._node = node
-        self._wanted = wanted
         self._subscriptions: dict[str, RawSubscription] = {}
 
     def __iter__(self) -> Iterator[RawSubscription]:
@@ -156,9 +149,7 @@ class RawSubscriptions:
     def discover(self) -> None:
         """Subscribe to all wanted topics that exist, and ask for losses of the present ones."""
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self.refused or not is_wanted(topic, self._wanted):
-                continue
-            if not any(self._is_accepted(topic, type_name) for type_name in types):
+            if topic in self.refused or not any(self._accepts(topic, name) for name in types):
                 continue
             if topic in self._subscriptions:
                 if reason := self._subscriptions[topic].poll_losses():

@@ -54,23 +54,18 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         usage='replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG',
         argument_default=argparse.SUPPRESS,
     )
-    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
-    parser.add_argument(
-        '--rate', metavar='R', type=_rate,
-        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)',
-    )
-    parser.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
-    parser.add_argument('--loop', action='store_true', help='restart after the end')
-    parser.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
-    parser.add_argument(
-        '--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
+    add = parser.add_argument
+    add('bag', metavar='BAG', help='folder of the bag, or one of its files')
+    add('--rate', metavar='R', type=_rate,
+        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)')
+    add('--topics', metavar='T', nargs='+', help='play only these topics')
+    add('--loop', action='store_true', help='restart after the end')
+    add('--paused', action='store_true', help='start paused; ~/resume plays')
+    add('--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
         help=f'publish the time of the bag on /clock (default {_CLOCK_RATE:g} Hz) '
-        'instead of a recorded /clock',
-    )
-    parser.add_argument(
-        '--check', action='store_true', default=False,
-        help='repeat the run from its journal and compare; exit code 1 if a message differs',
-    )
+        'instead of a recorded /clock')
+    add('--check', action='store_true', default=False,
+        help='repeat the run from its journal and compare; exit code 1 if a message differs')
     options = vars(parser.parse_args(arguments))
     if options['check'] and (others := sorted(options.keys() - {'bag', 'check'})):
         parser.error(f'argument --{others[0]}: not allowed with argument --check')

@@ -15,18 +15,15 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.node_tables import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time, throw_text
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
-from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-_LINE_INTERVAL = 5.0  # shortest time between two log lines about commanded throws [s]
 
 
 class SimulatedRig(RealTimeNode):
@@ -65,20 +62,14 @@ class SimulatedRig(RealTimeNode):
     # Tick thread
 
     def on_tick(self, due: int) -> None:
-        """Start the commanded motion if it is due, and advance by one step."""
+        """Start the commanded motion if it is due, advance, and publish what sensors measure."""
         if self._start_ns is not None and due >= self._start_ns:
             self._start_ns = None
             try:
                 self.session.request_throw()
             except RequestRejected as refusal:
                 self.get_logger().warning(f'a commanded motion is not played: {refusal}')
-        self.on_step(self.session.advance(), due)
-
-    def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish the measurements of the sensors."""
-        for result in outputs.results:
-            if self._motions and result.stage == 'release':
-                self.get_logger().info(throw_text(result), throttle_duration_sec=_LINE_INTERVAL)
+        outputs = self.session.advance()
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
