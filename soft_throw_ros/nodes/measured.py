@@ -15,9 +15,10 @@ import numpy as np
 from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
-from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.sample_buffer import FARTHEST, Samples
+from soft_throw_ros.storage.message import Channel, SECOND
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import Session
 
 MAX_MESSAGE_SIZE = 2**14  # that is decoded, 500 joints: larger ones hold up a tick [bytes]
@@ -39,7 +40,9 @@ class HeightReader:
     def __init__(
         self, node: RunnableNode, topic: Topic, joints: tuple[str, str], refused: Counter[str]
     ) -> None:
-        self.subscription = RawSubscription.of(node, topic)
+        name = node.resolve_topic_name(topic.name)
+        channel = Channel(topic=name, type=topic.type, schema='')
+        self.subscription = RawSubscription(node, channel, qos_profile(topic))
         node.add_cleanup(self.subscription.close)
         self._joints = joints
         self._refused = refused
@@ -131,12 +134,7 @@ class Measurement:
     """
 
     def __init__(
-        self,
-        node: RunnableNode,
-        session: Session,
-        joints: tuple[str, str],
-        *,
-        now: Callable[[], int],
+        self, node: RunnableNode, session: Session, joints: tuple[str, str], now: Callable[[], int]
     ) -> None:
         self.age_ns = 0  # from the stamp of the newest sample to its arrival
         self.clock = SensorClock()
@@ -145,7 +143,7 @@ class Measurement:
         self._session = session
         self._now = now
         self._logger = node.get_logger()
-        self._counts: Counter[str] = Counter()  # at the last status
+        self._counts: dict[str, int] = {}  # at the last status
         topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
         self._reader = HeightReader(node, topic, joints, refused)
 
@@ -157,31 +155,21 @@ class Measurement:
                 samples.stamps += self.clock.offset_ns
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
 
-    def count(self) -> Counter[str]:
-        """Return the numbers of messages and samples so far, by their treatment."""
-        subscription, counts = self._reader.subscription, self._session.sample_counts
+    def status(self) -> tuple[str, dict[str, float], bool]:
+        """Return text, values and whether to warn of the samples since the last call."""
+        subscription, so_far = self._reader.subscription, self._session.sample_counts
         subscription.poll_losses()
-        refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
-        if refused.get('out of range'):
-            self._logger.warning(
-                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
-                'divide them by 1000',
-                once=True,
-            )
-        return Counter({
-            'samples': counts.taken,
-            'samples_out_of_order': counts.out_of_order,
-            'samples_jumped': counts.outliers,
+        refused = dict(so_far.refused)  # a copy, because the tick thread modifies the counter
+        counts = {
+            'samples': so_far.taken,
+            'samples_out_of_order': so_far.out_of_order,
+            'samples_jumped': so_far.outliers,
             'messages': subscription.received,
             'messages_lost': subscription.lost,
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
-        })
-
-    def status(self) -> tuple[str, dict[str, float], bool]:
-        """Return text, values and whether to warn of the samples since the last call."""
-        counts = self.count()
-        new = {name: count - self._counts[name] for name, count in counts.items()}
+        }
+        new = {name: count - self._counts.get(name, 0) for name, count in counts.items()}
         self._counts = counts
         is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
         text = '{samples} samples, {messages_lost} lost, {samples_refused} refused'.format(**new)

@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import Entry, files, ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 
 class NodeParameters:
@@ -42,7 +41,8 @@ class NodeParameters:
         self._on_changed = on_changed
         self._check = check
         self._results: Settings = {}  # the present ones
-        overrides = parameter_overrides(node)
+        # a private part of rclpy, which ignores undeclared ones: they are misspelled names
+        overrides = node._parameter_overrides.values()
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
         self.settings: Settings = files.start(values, sources, table)

@@ -125,9 +125,7 @@ class RunnableNode(Node):
         """Complete files and everything else that must not be cut short."""
 
 
-def run(
-    name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None
-) -> int:
+def run(name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
 

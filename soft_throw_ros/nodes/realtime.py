@@ -98,7 +98,7 @@ class NodeClock:
 Clock: TypeAlias = SystemClock | NodeClock
 
 
-class Ticker:
+class Ticker(threading.Thread):
     """
     A thread that advances a session at absolute deadlines, at the rate of the session.
 
@@ -114,6 +114,7 @@ class Ticker:
     def __init__(
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
+        super().__init__(name='ticker', daemon=True)
         self.counts = Counter(ticks=0, ticks_late=0, ticks_skipped=0, clock_jumps=0)
         self._times: list[tuple[int, int]] = []
         self.scheduler = ''  # policy of the thread, 'fifo' or 'other'
@@ -124,22 +125,17 @@ class Ticker:
         self._schedule: TickSchedule | None = None
         self._stalled = -math.inf  # time of the last stall under real-time priority [s]
         self._is_stopping = threading.Event()
-        self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
     def take_times(self) -> list[tuple[int, int]]:
         """Return lateness and duration of the ticks since the last call [ns]."""
         times, self._times = self._times, []
         return times
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
     def stop(self, timeout: float) -> None:
         """Request the end of the thread, and wait at most `timeout` [s]."""
         self._is_stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout)
+        if self.is_alive():
+            self.join(timeout)
 
     def run_due(self) -> int:
         """Run all due steps; return the deadline of the next step on the same clock [ns]."""
@@ -179,7 +175,8 @@ class Ticker:
             session.set_tick_schedule(self._schedule)
         return self._schedule
 
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Run the steps until `stop`; this is the function of the thread."""
         self.scheduler = best = set_priority(PRIORITY)
         while not self._is_stopping.is_set():
             due = self.run_due()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import os
 from pathlib import Path
 import threading
+import traceback
 from typing import Any
 import zlib
 
@@ -19,7 +20,6 @@ from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion import MotionDesign
-from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.design.recommendation import RequestResult, solve_request
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.regular_file import atomic_file
@@ -71,16 +71,6 @@ class RecommendationState:
         values |= rig_values(self.config.rig)
         return status_to_msg(node_name, 'recommendation', self.describe(), values, level=level)
 
-    @leave_processors(1)  # to the thread of the ticks
-    def uncertainty(self) -> dict[str, float]:
-        """Return the uncertainty of the present throw, as values of a status."""
-        rig, bounds = self.config.rig, Uncertainties.from_settings(self.config.settings)
-        try:
-            values = prediction_uncertainty(rig, bounds).values()
-        except ValueError:
-            return {}
-        return {f'uncertainty.{name}': value for name, value in values.items()}
-
 
 def _save_motion(best: MotionDesign) -> Path:
     """Write a motion below ROS_HOME; the name of the file contains the checksum of the motion."""
@@ -99,27 +89,16 @@ def affects_recommendation(name: str) -> bool:
     return entry.is_of_rig or entry.group in ('recommendation', 'uncertainty')
 
 
-@leave_processors(1)  # to the thread of the ticks
-def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
-    """Return a recommendation or an aim, or the reason why there is none."""
-    try:
-        best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
-    except (SearchCancelledError, ValueError) as error:
-        return RecommendationState(config=config, reason=str(error))
-    return RecommendationState(config=config, best=best)
-
-
-class LatestOnlyWorker:
+class Recommender:
     """
-    A thread for slow computations; a newer request cancels all earlier ones.
+    A thread that computes recommendations and aims, and calls `publish` with each in this thread.
 
-    `serve` takes a request, and a function that returns whether the request is cancelled. It must
-    not raise an exception.
+    A newer request cancels all earlier ones.
     """
 
-    def __init__(self, serve: Callable[[TwinConfig, Callable[[], bool]], None]) -> None:
-        self._serve = serve
+    def __init__(self, publish: Callable[[RecommendationState], None]) -> None:
         self.request: TwinConfig  # the latest
+        self._publish = publish
         self._is_waiting = threading.Event()
         self._is_closing = threading.Event()
         self._thread = threading.Thread(name='worker', target=self._work, daemon=True)
@@ -136,8 +115,24 @@ class LatestOnlyWorker:
         self._is_waiting.set()
         self._thread.join(timeout)
 
+    @leave_processors(1)  # to the thread of the ticks
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            self._serve(self.request, self._is_waiting.is_set)
+            state = recommend_for(self.request, self._is_waiting.is_set)
+            if not self._is_waiting.is_set():
+                self._publish(state)
             self._is_closing.wait(_INTERVAL)
+
+
+def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
+    """Return a recommendation or an aim, or the reason why there is none."""
+    best, reason = None, ''
+    try:
+        best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
+    except (SearchCancelledError, ValueError) as error:
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001  later requests must still be answered
+        traceback.print_exc()
+        reason = f'the search has failed: {error!r}'
+    return RecommendationState(config=config, best=best, reason=reason)

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 import contextlib
 from datetime import datetime
 from functools import partial
-import gc
 import json
 import os
 from pathlib import Path
@@ -205,14 +204,13 @@ class Recorder(RunnableNode):
 
     def start(self) -> None:
         """Start recording if the parameter `start` is true."""
-        gc.collect()
-        gc.freeze()
-        if self.parameters.settings['start']:
+        settings = self.parameters.settings
+        if settings['start']:
             self.begin()
         else:
             self._report()
-        if self.parameters.settings['rerun.sink'] != 'none':
-            self._viewer = self._start_viewer(self.parameters.settings)
+        if settings['rerun.sink'] != 'none':
+            self._viewer = self._start_viewer(settings)
         self.get_logger().info('ready')
 
     def close(self) -> None:
@@ -220,7 +218,8 @@ class Recorder(RunnableNode):
         if self._viewer is not None:
             self._viewer.terminate()  # it ends while the bag is finished
         if self.recording is not None:
-            self.end()
+            with contextlib.suppress(RequestRejected):
+                self.end()
         if self._viewer is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._viewer.wait(_VIEWER_TIMEOUT)
@@ -241,16 +240,18 @@ class Recorder(RunnableNode):
         error = self.recording.writer.error
         self.log(error or self._message(), is_error=bool(error))
 
-    def end(self) -> bool:
-        """Finish the recording, and return whether it has failed."""
+    def end(self) -> str:
+        """Finish the recording, and return its summary, or raise RequestRejected with it."""
         recording, self.recording = self.recording, None
         assert recording is not None
         recording.stop()
-        self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()
         self.log(self._last, is_error=recording.has_failed)
-        return recording.has_failed
+        if recording.has_failed:
+            self._has_failed = True
+            raise RequestRejected(self._last)
+        return self._last
 
     def _start_viewer(self, settings: Settings) -> subprocess.Popen[bytes]:
         """Start a viewer of the same topics."""
@@ -266,17 +267,14 @@ class Recorder(RunnableNode):
 
     def _on_start(self) -> str:
         if self.recording is not None:
-            stop = RECORDER_SERVICES.stop.name
-            raise RequestRejected(f'already {self._message()}; call {stop} first')
+            raise RequestRejected(f'already {self._message()}; call ~/stop first')
         self.begin()
         return self._message()
 
     def _on_stop(self) -> str:
         if self.recording is None:
             raise RequestRejected(f'nothing is being recorded; {self._last}')
-        if self.end():
-            raise RequestRejected(self._last)
-        return self._last
+        return self.end()
 
     def _on_discovery(self) -> None:
         if self.recording is not None:

@@ -40,7 +40,6 @@ class SimulatedRig(RealTimeNode):
         self._throws = self._start = 0  # number of throws, and step at which the last one began
         self._is_worn = False
         self._commanded: list[JointTrajectoryPoint] = []  # the last motion
-        self._motions = 0  # number of different commanded motions
         self._start_ns: int | None = None  # of the commanded motion, until it has begun
         self.parameters = NodeParameters(
             self,
@@ -110,7 +109,7 @@ class SimulatedRig(RealTimeNode):
         self._faults = _faults_of(SensorFaults, settings)
         deviations = self._find_deviations()
         changes = {name: value for name, value in self._played.items() if value != before[name]}
-        if not self._motions:
+        if not self._commanded:
             self.session.change(changes, self.parameters.checked)
             self._next_deviations = deviations  # in effect with the next throw, as the settings
         else:
@@ -132,8 +131,7 @@ class SimulatedRig(RealTimeNode):
             return
         if message.points != self._commanded:
             self._commanded, self._next_deviations = message.points, None
-            self._motions += 1
-            name = f'commanded motion {self._motions}'
+            name = f'commanded motion of {start_ns} ns'
             changes = {'engine.motion': 'file', MOTION_FILE: name, 'throw.period': 0.0}
             self.session.change(changes, motion_of=lambda _path: motion)
             self.session.reset()  # otherwise the first throw would return to rest before it starts

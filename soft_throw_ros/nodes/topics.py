@@ -39,11 +39,10 @@ def qos_profile(topic: Topic) -> QoSProfile:
 
 def make_profile(depth: int, *, is_reliable: bool, is_latched: bool) -> QoSProfile:
     """Return a quality of service."""
-    reliability, durability = ReliabilityPolicy, DurabilityPolicy
     return QoSProfile(
         depth=depth,
-        reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
-        durability=durability.TRANSIENT_LOCAL if is_latched else durability.VOLATILE,
+        reliability=ReliabilityPolicy['RELIABLE' if is_reliable else 'BEST_EFFORT'],
+        durability=DurabilityPolicy['TRANSIENT_LOCAL' if is_latched else 'VOLATILE'],
     )
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import math
 import time
-import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,7 +21,6 @@ import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.nodes import conversions, recommendations
 from soft_throw_ros.nodes.measured import Measurement
@@ -49,7 +47,6 @@ class Twin(RealTimeNode):
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._throw = 0  # number of the throw of the last result
-        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
         self._compared: ThrowResult | None = None  # the last one
@@ -68,9 +65,10 @@ class Twin(RealTimeNode):
         )
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
-        self._worker = recommendations.LatestOnlyWorker(self._recommend)
-        self.add_cleanup(self._worker.close, STOP_TIMEOUT)
-        self._worker.submit(self.parameters.checked.config)
+        publish = partial(self._run_in_executor, self._publish_recommendation)
+        self.recommender = recommendations.Recommender(publish)
+        self.add_cleanup(self.recommender.close, STOP_TIMEOUT)
+        self.recommender.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
@@ -105,21 +103,6 @@ class Twin(RealTimeNode):
         self._jobs.append(partial(job, *args))
         self._wake.trigger()
 
-    # Worker thread
-
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
-        """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
-        publish = partial(self._run_in_executor, self._publish_recommendation)
-        try:
-            recommended = recommendations.recommend_for(config, cancelled)
-            if not cancelled():
-                publish(recommended)
-                self._uncertainty = config.rig, recommended.uncertainty()
-        except Exception as error:  # noqa: BLE001  later requests must still be answered
-            self.get_logger().error(traceback.format_exc())
-            reason = f'the search has failed: {error!r}'
-            publish(recommendations.RecommendationState(config=config, reason=reason))
-
     # Executor thread
 
     def _run_jobs(self) -> None:
@@ -145,9 +128,7 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and the numbers of its first release, or NaN."""
         is_first, self._throw = result.throw != self._throw, result.throw
         send = self.outgoing.send
-        rig, uncertainty = self._uncertainty
-        beside = uncertainty if rig == result.rig else {}
-        status = conversions.throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
+        status = conversions.throw_result_to_msg(result, self.get_fully_qualified_name())
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
         is_ejection = result.stage == 'release' or (result.stage == 'final' and first is None)
@@ -198,7 +179,7 @@ class Twin(RealTimeNode):
 
     def _publish_recommendation(self, recommended: recommendations.RecommendationState) -> None:
         """Publish a recommendation, unless another one has been requested since."""
-        if recommended.config is not self._worker.request:
+        if recommended.config is not self.recommender.request:
             return
         self.recommendation = recommended
         self.parameters.set_results(recommended.results())
@@ -218,12 +199,10 @@ class Twin(RealTimeNode):
         self.session.change(changes, self.parameters.checked)
         if any(recommendations.affects_recommendation(name) for name in changes):
             self.recommendation = None
-            self._worker.submit(self.parameters.checked.config)
+            self.recommender.submit(self.parameters.checked.config)
 
     def _on_throw(self) -> str:
-        number = self.session.request_throw()
-        topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
-        return f'throw {number}: its result follows on {topic.name}'
+        return f'throw {self.session.request_throw()}: its result follows on ~/throw_result'
 
     def _on_reset(self) -> str:
         self.session.reset()
@@ -260,7 +239,8 @@ class Twin(RealTimeNode):
         if self.session.is_measured:
             text, values, is_bad = self.measurement.status()
             statuses.append(self.outgoing.status('measurement', text, values, warn=is_bad))
-        if (result := self._compared) is not None:
+        result = self._compared if self.session.is_measured else None
+        if result is not None:
             assert result.comparison is not None
             statuses.append(self.outgoing.status(
                 'model', f'throw {result.throw}: {conversions.comparison_text(result)}',
