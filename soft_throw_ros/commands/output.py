@@ -36,7 +36,7 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print an error in one line and exit with 2."""
         text = ' '.join(message.splitlines())  # a quoted argument may contain line ends
-        self.exit(2, f'{self.prog}: error: {text}\n')
+        self.exit(2, f'{self.prog}: error: {printable(text)}\n')
 
 
 def run_command(
@@ -98,7 +98,7 @@ def require(feature: str, extra: str, *modules: str) -> None:
 
 def print_note(command: str, text: str) -> None:
     """Print a note of a command to standard error."""
-    print(f'{command}: {text}', file=sys.stderr, flush=True)
+    print(f'{command}: {printable(text)}', file=sys.stderr, flush=True)
 
 
 def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
@@ -108,12 +108,16 @@ def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print lines; escape control characters, which names in an untrusted bag may contain."""
-    text = ''.join(
+    """Print lines."""
+    print(printable('\n'.join(lines)), flush=True)
+
+
+def printable(text: str) -> str:
+    """Escape control characters, which names in an untrusted bag may contain."""
+    return ''.join(
         letter if letter.isprintable() or letter in '\n\t' else repr(letter)[1:-1]
-        for letter in '\n'.join(lines)
+        for letter in text
     )
-    print(text, flush=True)
 
 
 def _plain(value: object) -> object:

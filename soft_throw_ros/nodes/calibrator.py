@@ -166,9 +166,8 @@ class Calibrator(RunnableNode):
         self._joints = joint_names(settings)
         self._measured = MeasuredPositions(self, twin, self._joints)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
-        self._last_command: deque[JointTrajectory] = deque(maxlen=1)
-        command = TWIN_TOPICS.plate_trajectory.at(twin)
-        create_subscription(self, command, self._last_command.append)
+        self._command: JointTrajectory | None = None  # the last one
+        create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
         self._twin = RemoteParameters(self, twin)
         self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
         apply = interface.resolve(interface.TWIN_SERVICES.apply_recommendation.name, twin)
@@ -206,6 +205,9 @@ class Calibrator(RunnableNode):
             self._worker.join(STOP_TIMEOUT)
 
     # Executor thread
+
+    def _on_command(self, msg: JointTrajectory) -> None:
+        self._command = msg
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -270,14 +272,13 @@ class Calibrator(RunnableNode):
 
     def _on_commanded_throw(self, throws: list[MeasuredThrow], result: ThrowResult) -> None:
         """Measure a throw whose motion the twin commanded, and report the gain after some."""
-        if result.first is None or not self._last_command:
+        if result.first is None or self._command is None:
             return
-        start_ns = result.start_ns
-        release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(start_ns, release_ns, max_gap=result.rig.crossing_time)
-        motion = msg_to_motion(self._last_command[0], self._joints[0])
+        due_ns = result.start_ns + round(1e9 * result.first.ejection_time)  # of the release
+        tracks = self._measured.between(result.start_ns, due_ns, max_gap=result.rig.crossing_time)
+        motion = msg_to_motion(self._command, self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
-        throws.append(self._measure_flight(result, release_ns + delay_ns))
+        throws.append(self._measure_flight(result, due_ns + delay_ns))
         if len(throws) == self.parameters.settings['throws']:
             self._report(*describe_gain(self._predicted, throws, result.rig.gravity))
             self._predicted, self._commanded = [], None
