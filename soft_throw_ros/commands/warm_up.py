@@ -22,7 +22,7 @@ from soft_throw_ros.commands.output import CommandParser, print_lines, run_comma
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
 from soft_throw_ros.design.recommendation import solve_request
-from soft_throw_ros.twin import plate_observer, sample_buffer
+from soft_throw_ros.twin import plate_monitor, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
@@ -78,7 +78,7 @@ def _run_kernels() -> None:
     for loss_tangent in (0.0, 0.1):
         prepare({**TWIN.defaults(), 'layer.loss_tangent': loss_tangent})
     solve_request(TWIN.defaults())
-    for module in (wave_stepper, cell_stepper, sample_buffer, plate_observer):
+    for module in (wave_stepper, cell_stepper, sample_buffer, plate_monitor, plate_observer):
         module.warm_up()
 
 

@@ -222,8 +222,8 @@ class Twin(RealTimeNode):
         """Publish the diagnostics."""
         super().on_second()
         self._run_jobs()  # in case a wake-up was lost
-        for fault in self.session.diagnose_sensors():
-            self.get_logger().warning(fault)
+        if fault := self.session.diagnose_sensor():
+            self.get_logger().warning(fault, once=True)
         self.outgoing.report(TWIN_TOPICS.diagnostics, self._statuses())
 
     # Diagnostics, once per second (REP 107)

@@ -44,6 +44,7 @@ REFUSALS = [
     (f'identify {SAMPLE} -p layer.thickness:=0.01+-x', 'layer.thickness must be'),
     (f'identify {TRACKS} --from 0.025', f'{SAMPLE.name}: the plate does not move as a damped'),
     (f'identify {TRACKS} --mass 0.0012+-0%', r'projectile\.mass must be'),
+    (f'identify {TRACKS} --mass 1+-1% --hold projectile.mass', '--hold: projectile.mass is '),
     (f'identify {TRACKS} --fit-file nosuch.yaml', 'nosuch.yaml: No such file'),
     (f'identify {TRACKS} --from 1', f'{SAMPLE.name}: only 0 samples from 1 s to inf s'),
     (f'free_layers 0.01 {SAMPLE} 0.02', r"argument M FILE: must be pairs, got '0\.02' alone"),
