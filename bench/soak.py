@@ -202,12 +202,16 @@ def _subscribe(path: Path) -> None:
     from rclpy.signals import SignalHandlerOptions
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
     from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+    from soft_throw_ros.nodes.topics import qos_profile
+    from soft_throw_ros.storage.message import Channel
 
     interrupts: list[int] = []  # signals
     signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(f'subscriber_{path.name}')
-    states = RawSubscription.of(node, TWIN_TOPICS.joint_states.at('/twin'))
+    topic = TWIN_TOPICS.joint_states.at('/twin')
+    channel = Channel(topic=topic.name, type=topic.type, schema='')
+    states = RawSubscription(node, channel, qos_profile(topic))
     is_done = False
     with path.open('wb', buffering=0) as stream:
         while not is_done:

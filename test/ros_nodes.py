@@ -147,7 +147,6 @@ class DrivenTwin(Twin):
         self.clock = clock or GivenClock()
         self.outputs: list[Outputs] = []
         self.messages: list[Message] = []
-        self._advised: Any = None  # a configuration with its uncertainty
         super().__init__(system_clock=self.clock, **kwargs)
         self.ticker.run_due()  # the first step
 
@@ -198,15 +197,10 @@ class DrivenTwin(Twin):
         def is_settled() -> bool:
             self._run_jobs()
             state = self.recommendation
-            is_present = state is not None and state.is_for(self.parameters.settings)
-            return is_present and state.config is self._advised
+            return state is not None and state.config is self.recommender.request
 
         wait_until(is_settled, TIMEOUT)
         return self.recommendation
-
-    def _recommend(self, config: Any, *args: Any) -> None:
-        super()._recommend(config, *args)
-        self._advised = config
 
     def finish(self) -> None:
         """End the session, and publish the last lines of its journal."""

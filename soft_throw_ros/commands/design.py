@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from soft_throw_ros.commands import options, output
-from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import motions, rig_of, TWIN
 from soft_throw_ros.configuration.csv_rows import Floats
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
@@ -34,38 +33,38 @@ _RATIOS = {'x': '0.005:0.995', 'C': '0.05:14', 'mu': '0.01:10:log', 'kappa': '0.
 
 def main(args: list[str] | None = None) -> int:
     """Run the task named by the first argument with the other arguments; return its exit code."""
-    parser = CommandParser(description=__doc__)
+    parser = output.CommandParser(description=__doc__)
     tasks = parser.add_subparsers(dest='task', metavar='TASK', required=True)
     for name, (run, purpose, title, parameters) in _TASKS.items():
         task = tasks.add_parser(name, help=purpose, description=f'{purpose.capitalize()}.')
         task.usage = '%(prog)s [OPTION ...]'
         if name == 'map':
-            _add_map_arguments(task)
+            task.usage += ' [AXIS AXIS]'
+            task.epilog = (
+                'An axis is NAME=LOW:HIGH, optionally followed by :COUNT and :log, such as layer.'
+                f'thickness=0.002:0.03:512. Names: {", ".join(AXES)}; four need no range.'
+            )
+            text = 'two axes (default: x and C, as in the paper)'
+            task.add_argument('axes', metavar='AXIS', nargs='*', help=text)
+            options.add_dask_option(task)
         else:
             task.add_json_option()
             options.add_options(task, parameters.split(), title=title)
-        if name == 'motion':
+        if writers := _WRITERS.get(name):
             task.add_argument(
-                '--output', metavar='FILE', nargs='+', type=options.new_file(*_MOTION_WRITERS),
-                default=[], help='.csv (for --motion), .yaml (trajectory_msgs/JointTrajectory) '
-                'or .png (picture)',
+                '--output', metavar='FILE', nargs='+', type=options.new_file(*writers), default=[],
+                help=f'files to write, with one of the endings {", ".join(writers)}',
             )
         options.add_rig_options(task)
         task.set_defaults(run=run)
-    return output.run_command(parser, lambda arguments: arguments.run(arguments), args)
+    return output.run_command(parser, lambda given: given.run(given), args, compiles=True)
 
 
-def _add_map_arguments(parser: CommandParser) -> None:
-    parser.usage = '%(prog)s [OPTION ...] [AXIS AXIS]'
-    parser.epilog = (
-        'An axis is NAME=LOW:HIGH, optionally followed by :COUNT and :log: '
-        f'layer.thickness=0.002:0.03:512. Names: {", ".join(AXES)}; the first four need no range.'
-    )
-    add = parser.add_argument
-    add('axes', metavar='AXIS', nargs='*', help='two axes (default: x and C, as in the paper)')
-    add('--output', metavar='FILE', nargs='+', type=options.new_file(*_MAP_WRITERS), default=[],
-        help='.nc (NetCDF) or .png (picture)')
-    options.add_dask_option(parser)
+def _write(arguments: argparse.Namespace, result: MotionDesign | Landscape) -> None:
+    """Write a result to the files of `--output`."""
+    for path in arguments.output:
+        with output.written_file(path) as unfinished:
+            _WRITERS[arguments.task][path.suffix](result, unfinished)
 
 
 def _recommend(arguments: argparse.Namespace) -> int:
@@ -73,17 +72,16 @@ def _recommend(arguments: argparse.Namespace) -> int:
     settings, name = options.read_settings(arguments), 'recommendation'
     if arguments.task == 'aim':
         settings['recommendation.objective'] = name = 'aim'
-    with output.slow_notice('design'):
-        best = solve_request(settings)
-        uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
-        names = TWIN.names_in('uncertainty') + TWIN.names_in('recommendation')
-        data = {
-            'parameters': {key: settings[key] for key in (*RIG_PARAMETERS, *names)},
-            name: {**vars(best), 'summary': best.summary},
-            'uncertainty': uncertainty.values(),
-        }
-        lines = _recommended_lines(best, str(uncertainty))
-        output.print_result(data, lines, as_json=arguments.json)
+    best = solve_request(settings)
+    uncertainty = prediction_uncertainty(best.rig, Uncertainties.from_settings(settings))
+    names = TWIN.names_in('uncertainty') + TWIN.names_in('recommendation')
+    data = {
+        'parameters': {key: settings[key] for key in (*RIG_PARAMETERS, *names)},
+        name: {**vars(best), 'summary': best.summary},
+        'uncertainty': uncertainty.values(),
+    }
+    lines = _recommended_lines(best, str(uncertainty))
+    output.print_result(data, lines, as_json=arguments.json)
     return 0
 
 
@@ -125,12 +123,9 @@ def _design_motion(arguments: argparse.Namespace) -> int:
     """Design a motion, print its predictions, and write it to files; return 0."""
     settings = options.read_settings(arguments)
     settings |= {'recommendation.objective': 'peak', 'recommendation.vary': 'motion'}
-    with output.slow_notice('design'):
-        design = solve_request(settings)
-        assert isinstance(design, MotionDesign)  # by the settings above
-        for path in arguments.output:
-            with output.written_file(path) as unfinished:
-                _MOTION_WRITERS[path.suffix](design, unfinished)
+    design = solve_request(settings)
+    assert isinstance(design, MotionDesign)  # by the settings above
+    _write(arguments, design)
     data = {
         'parameters': {name: settings[name] for name in RIG_PARAMETERS},
         'motion': {**vars(design), 'summary': design.summary},
@@ -153,11 +148,11 @@ def _motion_lines(design: MotionDesign) -> Iterator[str]:
             columns[name] = vars(throw) | {f'plate_{key}': value for key, value in peaks}
     yield from output.table(columns)
     yield from output.strain_warnings(design.rig.layer.linear_range, columns)
-    if design.limits == PlateLimits.of(design.present.engine):
-        yield (
-            'The limits of the plate are those of the present motion; set others by '
-            '--plate-speed, --plate-acceleration and --plate-travel.'
-        )
+
+
+def _write_csv(design: MotionDesign, path: Path) -> None:
+    """Write the motion as `--motion` reads it."""
+    path.write_text(motions.to_csv(design.motion), encoding='utf-8')
 
 
 def _write_trajectory(design: MotionDesign, path: Path) -> None:
@@ -194,11 +189,9 @@ def _map(arguments: argparse.Namespace) -> int:
     """Compute, save and summarise the map; return 0."""
     rig = rig_of(options.read_settings(arguments))
     axes = dict(map(_read_axis, arguments.axes or ['x', 'C']))
-    with output.slow_notice('design map'), options.open_map(arguments.dask) as run_blocks:
+    with options.open_map(arguments.dask) as run_blocks:
         landscape = compute_landscape(rig, axes, run=run_blocks)
-    for path in arguments.output:
-        with output.written_file(path) as unfinished:
-            _MAP_WRITERS[path.suffix](landscape, unfinished)
+    _write(arguments, landscape)
     output.print_lines(_summary(landscape))
     return 0
 
@@ -277,14 +270,12 @@ def _marks(landscape: Landscape) -> Iterator[tuple[str, float, float]]:
             yield title, *position
 
 
-_MOTION_WRITERS: Mapping[str, Callable[[MotionDesign, Path], object]] = {
-    '.csv': lambda design, path: path.write_text(motions.to_csv(design.motion), encoding='utf-8'),
-    '.yaml': _write_trajectory,
-    '.png': _draw_motion,
+_WRITERS: Mapping[str, Mapping[str, Callable[[Any, Path], object]]] = {
+    'motion': {'.csv': _write_csv, '.yaml': _write_trajectory, '.png': _draw_motion},
+    'map': {'.nc': Landscape.save, '.png': _draw_map},
 }
-_MAP_WRITERS: Mapping[str, Callable[[Landscape, Path], None]] = {
-    '.nc': Landscape.save, '.png': _draw_map,
-}
+"""Functions that write the result of a task to a file, by its suffix."""
+
 _TASKS = {
     'recommend': (
         _recommend, 'recommend a layer', 'request',

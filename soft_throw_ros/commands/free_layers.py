@@ -9,7 +9,6 @@ import argparse
 from soft_throw_ros.commands import options, output
 from soft_throw_ros.commands.identify_input import add_track_options, read_layer
 from soft_throw_ros.commands.identify_report import held_rows, IdentificationReport, Row
-from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import rig_of, TWIN
 from soft_throw_ros.identification.fit_description import DEFAULT_IS_ANOTHER_RIG, values_of
 from soft_throw_ros.identification.ringing import fit_period, fit_wave_speed
@@ -19,7 +18,8 @@ _SIGNIFICANCE = 1e-4  # probability of a disagreement by chance, below which a w
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Warnings go to standard error."""
-    parser = CommandParser(description=__doc__, usage='%(prog)s [OPTION ...] M FILE [M FILE ...]')
+    usage = '%(prog)s [OPTION ...] M FILE [M FILE ...]'
+    parser = output.CommandParser(description=__doc__, usage=usage)
     add = parser.add_argument
     add('layers', metavar='M FILE', nargs='+',
         help='thickness of a layer, and a CSV file with a time [s] and heights of bottom and top')
@@ -37,7 +37,8 @@ def _run(arguments: argparse.Namespace) -> int:
     words = arguments.layers
     if len(words) % 2:
         raise ValueError(f'argument M FILE: must be pairs, got {words[-1]!r} alone')
-    thicknesses, paths = [_thickness(text) for text in words[::2]], words[1::2]
+    paths, entry = words[1::2], TWIN.by_name['layer.thickness']
+    thicknesses = [float(entry.check(text)) for text in words[::2]]  # type: ignore[arg-type]
     periods = []
     for path in paths:
         ends = read_layer(path, arguments)
@@ -66,11 +67,3 @@ def _run(arguments: argparse.Namespace) -> int:
         warnings=(warning,) * (probability < _SIGNIFICANCE),
     ).finish(settings, arguments, 'free_layers')
     return 0
-
-
-def _thickness(text: str) -> float:
-    entry = TWIN.by_name['layer.thickness']
-    thickness = entry.convert(text)
-    if thickness is None:
-        raise ValueError(f'argument M FILE: {entry.name} must be {entry.rule}, got {text!r}')
-    return float(thickness)  # type: ignore[arg-type]

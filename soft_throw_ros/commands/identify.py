@@ -13,25 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from soft_throw_ros.commands import identify_report as report
+from soft_throw_ros.commands import options, output
 from soft_throw_ros.commands.identify_input import add_track_options, read_throws
-from soft_throw_ros.commands.identify_report import (
-    ejection_rows,
-    fit_data,
-    fit_lines,
-    fit_rows,
-    held_rows,
-    IdentificationReport,
-    Row,
-)
-from soft_throw_ros.commands.options import (
-    add_rig_options,
-    argument_of,
-    MEASURED_PARAMETERS,
-    new_file,
-    read_settings,
-    stated_parameters,
-)
-from soft_throw_ros.commands.output import CommandParser, run_command, written_file
 from soft_throw_ros.configuration import rig_of, Settings
 from soft_throw_ros.identification.ejection import doubt, Release, releases_of
 from soft_throw_ros.identification.fit_description import (
@@ -59,7 +43,7 @@ _MAX_THROWS = 6  # largest number of throws in one figure
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Notes and warnings go to standard error."""
-    parser = CommandParser(
+    parser = output.CommandParser(
         description=__doc__.strip().partition('\n')[0],
         usage='%(prog)s [OPTION ...] FILE ...',
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
@@ -69,34 +53,26 @@ def main(args: list[str] | None = None) -> int:
     )
     add = parser.add_argument
     add('files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags')
-    add(
-        '--hold', metavar='NAME', action='append', default=[],
-        help='do not fit this parameter, which is known; may be repeated',
-    )
-    add(
-        '--one-camera', action='store_true',
-        help='one camera has seen plate and projectile: hold ' + ' and '.join(_OF_TWO_SENSORS),
-    )
-    add(
-        '--fit-file', metavar='FILE',
+    add('--hold', metavar='NAME', action='append', default=[],
+        help='do not fit this parameter, which is known; may be repeated')
+    add('--one-camera', action='store_true',
+        help='one camera has seen plate and projectile: hold ' + ' and '.join(_OF_TWO_SENSORS))
+    add('--fit-file', metavar='FILE',
         help='YAML file of the fit (docs/identify.md): `free`, `fixed`, `prior`, `per_throw`, '
-        'and the `topic` of bags',
-    )
+        'and the `topic` of bags')
     add_track_options(parser)
-    add('--output', metavar='FILE', type=new_file(), help='parameter file of the twin to write')
-    add(
-        '--figure', metavar='FILE', type=new_file('.png', '.pdf', '.svg'),
-        help='picture of data, fit and residuals to draw',
-    )
+    add('--output', metavar='FILE', type=options.new_file(), help='parameter file of the twin')
+    add('--figure', metavar='FILE', type=options.new_file('.png', '.pdf', '.svg'),
+        help='picture of data, fit and residuals to draw')
     parser.add_json_option()
-    add_rig_options(parser, MEASURED_PARAMETERS)
-    return run_command(parser, _run, args)
+    options.add_rig_options(parser, options.MEASURED_PARAMETERS)
+    return output.run_command(parser, _run, args)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     description = _describe_fit(arguments)
-    settings: Settings = read_settings(arguments)
-    stated = stated_parameters(arguments)
+    settings: Settings = options.read_settings(arguments)
+    stated = options.stated_parameters(arguments)
     throws, notes = read_throws(
         arguments,
         noise=float(settings[_NOISE]) if _NOISE in stated else None,
@@ -116,14 +92,14 @@ def _run(arguments: argparse.Namespace) -> int:
             releases = releases_of(result)
         except FitError as error:
             warnings.append(f'no release is predicted: {error}')
-    rows = list(fit_rows(result))
+    rows = list(report.fit_rows(result))
     if arguments.figure:
         _draw_throws(result, releases, rows, arguments.figure)
     names = PARAMETERS if is_thrown else ENGINE
     held = [name for name in names if name not in result.model.indices]
-    rows += held_rows(values_of(result.model.rig, held), description.assumed)
-    rows += ejection_rows(releases)
-    rows += [Row.of(name, value) for name, value in result.terms().items()]
+    rows += report.held_rows(values_of(result.model.rig, held), description.assumed)
+    rows += report.ejection_rows(releases)
+    rows += [report.Row.of(name, value) for name, value in result.terms().items()]
     assumed = ', '.join(name for name in description.assumed if name in held)
     head = [f'assumed, because nobody stated them (-p NAME:=VALUE): {assumed}'] * bool(assumed)
     verdict = None
@@ -134,12 +110,12 @@ def _run(arguments: argparse.Namespace) -> int:
             f'not good enough to choose a layer: {reason}' if reason
             else 'good enough to choose a layer'
         )
-    IdentificationReport(
+    report.IdentificationReport(
         sources=tuple(throw.name for throw in throws),
         rows=tuple(rows),
         head=tuple(head),
-        lines=tuple(fit_lines(result)),
-        data={'verdict': verdict, 'fit': fit_data(result.fit)},
+        lines=tuple(report.fit_lines(result)),
+        data={'verdict': verdict, 'fit': report.fit_data(result.fit)},
         notes=tuple(notes),
         warnings=tuple(warnings),
     ).finish(settings, arguments, 'identify')
@@ -154,13 +130,9 @@ def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
     if arguments.one_camera:
         held = dict.fromkeys(_OF_TWO_SENSORS, FIXED)
         description = description.change({**held, **description.parameters})
-    try:
-        description = description.change(dict.fromkeys(arguments.hold, FIXED))
-    except ValueError as error:
-        raise ValueError(f'argument --hold: {error}') from None
     if both := known.keys() & arguments.hold:
         raise ValueError(f'argument --hold: {min(both)} is certain, and must have no error')
-    return description.change(known)
+    return description.change(dict.fromkeys(arguments.hold, FIXED)).change(known)
 
 
 def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
@@ -173,12 +145,12 @@ def _split_known(arguments: argparse.Namespace) -> dict[str, Treatment]:
             try:
                 known[name] = parse_error(error, value)
             except ValueError as refusal:
-                raise ValueError(f'{argument_of(arguments, name)}: {name} {refusal}') from None
+                raise ValueError(f'{name} {refusal}') from None
     return known
 
 
 def _draw_throws(
-    result: RigFit, releases: Sequence[Release], rows: Sequence[Row], path: Path
+    result: RigFit, releases: Sequence[Release], rows: Sequence[report.Row], path: Path
 ) -> None:
     """Draw the contact in tracks and model of some throws, all residuals, and a summary."""
     from matplotlib.figure import Figure
@@ -219,5 +191,5 @@ def _draw_throws(
     texts = [f'{row.name.rpartition(".")[2]} {row._replace(note="")}' for row in rows]
     lines = [', '.join(texts[k:k + 3]) for k in range(0, len(texts), 3)]
     figure.suptitle('\n'.join(lines).replace('+-', '±'), fontsize='medium')
-    with written_file(path) as unfinished:
+    with output.written_file(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix[1:], dpi=150)

@@ -52,19 +52,13 @@ _ONE_MOTION = 1.5  # largest residual of a record of one throw, as a multiple of
 def add_track_options(parser: CommandParser) -> None:
     """Add the options for reading tracks; `read_throws` and `read_layer` use them."""
     add = parser.add_argument
-    add(
-        '--unit', choices=UNITS, default='m',
-        help='unit of heights in CSV files whose labels have none (default %(default)s)',
-    )
+    add('--unit', choices=UNITS, default='m',
+        help='unit of heights in CSV files whose labels have none (default %(default)s)')
     add('--time-unit', choices=TIME_UNITS, default='s', help='the same of times (default s)')
-    add(
-        '--from', dest='start', metavar='S', type=any_number, default=-math.inf,
-        help='ignore samples before this time',
-    )
-    add(
-        '--to', dest='end', metavar='S', type=any_number, default=math.inf,
-        help='ignore samples after this time',
-    )
+    add('--from', dest='start', metavar='S', type=any_number, default=-math.inf,
+        help='ignore samples before this time')
+    add('--to', dest='end', metavar='S', type=any_number, default=math.inf,
+        help='ignore samples after this time')
 
 
 def read_throws(
@@ -126,8 +120,11 @@ def _throws_of(record: ThrowTracks, notes: list[str]) -> list[ThrowTracks]:
     parts: list[ThrowTracks] = []
     for part in split_at_breaks(record):
         spans = find_throws(part.plate)
-        if len(spans) < _MAX_FALSE_THROWS and _is_one_motion(part):
-            spans = []
+        if len(spans) < _MAX_FALSE_THROWS:
+            with contextlib.suppress(FitError):
+                # one motion explains what noise seems to split into throws
+                if fit_plate(part.plate).residuals[0].rms < _ONE_MOTION * part.plate.noise:
+                    spans = []
         parts += part.split(spans, 'throw')
     throws = []
     for part in parts if len(parts) > 1 else ():
@@ -138,13 +135,6 @@ def _throws_of(record: ThrowTracks, notes: list[str]) -> list[ThrowTracks]:
         else:
             throws.append(part)
     return throws or parts
-
-
-def _is_one_motion(record: ThrowTracks) -> bool:
-    """Return whether one motion explains a record that noise seems to split into throws."""
-    with contextlib.suppress(FitError):
-        return fit_plate(record.plate).residuals[0].rms < _ONE_MOTION * record.plate.noise
-    return False
 
 
 def read_layer(path: str, arguments: argparse.Namespace) -> tuple[Track, Track]:

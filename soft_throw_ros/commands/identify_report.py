@@ -53,15 +53,13 @@ class Row(NamedTuple):
     @property
     def unit(self) -> str:
         """SI unit."""
-        return TWIN.by_name[self.name].unit if self.name in TWIN.by_name else (
-            _OTHER_UNITS.get(self.name, '')
-        )
+        entry = TWIN.by_name.get(self.name)
+        return entry.unit if entry else _OTHER_UNITS.get(self.name, '')
 
     def __str__(self) -> str:
         unit, factor = _UNITS_IN_TABLES.get(self.unit, (self.unit, 1.0))
-        if self.error is None:
-            number = f'{factor * self.value:.6g}'
-        else:
+        number = f'{factor * self.value:.6g}'
+        if self.error is not None:
             number = str(Estimate(factor * self.value, factor * self.error))
         return f'{number} {unit}'.rstrip() + (f', {self.note}' if self.note else '')
 

@@ -10,15 +10,7 @@ import os
 from pathlib import Path
 import tempfile
 
-from soft_throw_ros.commands.options import any_number, new_file, number_type
-from soft_throw_ros.commands.output import (
-    CommandParser,
-    print_note,
-    require,
-    run_command,
-    slow_notice,
-    written_file,
-)
+from soft_throw_ros.commands import options, output
 from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
 from soft_throw_ros.recording import rerun_viewer as viewer
 from soft_throw_ros.recording.twin_journal import find_throws, ThrowStart
@@ -36,35 +28,33 @@ def main(args: list[str] | None = None) -> int:
     The exit code is 0; 1 if the viewer is not there; 2 if Rerun is not installed, or there is no
     such bag, or none of a twin; 130 after Ctrl-C while a bag is read.
     """
-    parser = CommandParser(description=__doc__)
+    parser = output.CommandParser(description=__doc__)
     add = parser.add_argument
     add('bag', metavar='BAG', help='a bag or an .mcap file')
     files = parser.add_mutually_exclusive_group()
-    files.add_argument('--save', metavar='FILE.rrd', type=new_file(),
+    files.add_argument('--save', metavar='FILE.rrd', type=options.new_file(),
                        help='write a recording of Rerun, show nothing')
-    files.add_argument('--screenshot', metavar='FILE.png', type=new_file(),
+    files.add_argument('--screenshot', metavar='FILE.png', type=options.new_file(),
                        help='write a picture, open no window')
     add('--throw', metavar='N', type=int,
         help='show this throw (default the last complete one with a release)')
-    add('--at', metavar='TIME', type=any_number,
+    add('--at', metavar='TIME', type=options.any_number,
         help='show it at this time of the rig since the throw started, in seconds '
         '(default in the contact)')
-    port = number_type('from 1024 to 65535', lambda port: port in range(1024, 65536))
+    port = options.number_type('from 1024 to 65535', lambda port: port in range(1024, 65536))
     add('--port', type=port, default=viewer.PORT, help='port of the viewer (default %(default)s)')
-    return run_command(parser, _run, args)
+    return output.run_command(parser, _run, args, compiles=True)
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    require('inspect', 'rerun', 'rerun', 'matplotlib')
+    output.require('inspect', 'rerun', 'rerun', 'matplotlib')
     os.environ.setdefault('RUST_LOG', 'off')  # the command has messages of its own
     try:
         with BagReader(arguments.bag) as reader:
             _show_bag(reader, arguments)
     except viewer.ViewerError as error:
-        print_note('inspect', str(error))
+        output.print_note('inspect', str(error))
         return 1
-    except KeyboardInterrupt:
-        return 130
     return 0
 
 
@@ -80,17 +70,17 @@ def _show_bag(reader: BagReader, arguments: argparse.Namespace) -> None:
         seconds = _MOMENT * (throw.ejection_time or 0.0)
     at = THROW_TIME, seconds if throw is not None else None
     if arguments.save:
-        with written_file(arguments.save) as unfinished:
+        with output.written_file(arguments.save) as unfinished:
             _draw(reader, throw, unfinished)
         return
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / 'scene.rrd'
         _draw(reader, throw, recording)
         if arguments.screenshot:
-            options = '--headless', '--window-size', _SIZE
-            with viewer.Viewer(viewer.free_port(), *options) as process:
+            words = '--headless', '--window-size', _SIZE
+            with viewer.Viewer(viewer.free_port(), *words) as process:
                 picture = process.photograph(recording, *at)
-            with written_file(arguments.screenshot) as unfinished:
+            with output.written_file(arguments.screenshot) as unfinished:
                 unfinished.write_bytes(picture)
         else:
             viewer.show(recording, int(arguments.port), *at)
@@ -122,13 +112,13 @@ def _draw(reader: BagReader, throw: ThrowStart | None, path: Path) -> None:
     stream = viewer.new_stream(reader.path.name)
     viewer.save_to(stream, path, is_live=False)
     scene, messages = Scene(stream, throw=throw), reader.messages()
-    with slow_notice('inspect'):
-        while batch := list(itertools.islice(messages, _BATCH)):
-            scene.show(batch)
-        scene.arrange()
+    while batch := list(itertools.islice(messages, _BATCH)):
+        scene.show(batch)
+    scene.arrange()
     damage = f', {scene.damage}' if scene.damage else ''
     if not scene.drawn_twins():
         raise ValueError(f'{reader.path}: nothing of a twin could be read{damage}')
     if scene.damaged:
-        print_note('inspect', f'{reader.path}: {scene.damaged} messages are left out{damage}')
+        text = f'{reader.path}: {scene.damaged} messages are left out{damage}'
+        output.print_note('inspect', text)
     viewer.finish(stream, path)

@@ -14,17 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from soft_throw_ros.commands.output import require
-from soft_throw_ros.configuration import files, ParameterError, TWIN, Value
+from soft_throw_ros.configuration import files, TWIN, Value
 from soft_throw_ros.configuration.layers import CUSTOM
 from soft_throw_ros.configuration.table import float_of, value_text
 import yaml
-
-
-def option_of(name: str) -> str:
-    """Return the option of a parameter: the last part of its name."""
-    last = 'layer' if name == 'layer.name' else name.rpartition('.')[2]
-    return f'--{last.replace("_", "-")}'
-
 
 MAIN_PARAMETERS = (
     'engine.motion', 'engine.frequency', 'engine.amplitude', 'layer.name', 'layer.stack',
@@ -46,7 +39,6 @@ _MOTION = replace(
 )
 """The option `--motion`, whose value may be a file."""
 
-_NAMED = 'named'  # attribute of the arguments with the names of the parameters that `-p` sets
 _FIGURES = ('.png', '.pdf', '.svg')  # suffixes of files that Matplotlib writes
 
 
@@ -54,7 +46,7 @@ class _SetParameter(argparse.Action):
     """The option `-p NAME:=VALUE`, which stores a value as an option of the parameter would."""
 
     def __call__(self, _parser: object, namespace: Any, text: Any, _option: object = None) -> None:
-        """Store the value, which is YAML, and the name of the parameter."""
+        """Store the value, which is YAML."""
         name, sign, value = text.partition(':=')
         if not sign or name not in TWIN.by_name:
             raise argparse.ArgumentError(
@@ -64,7 +56,6 @@ class _SetParameter(argparse.Action):
             setattr(namespace, name, yaml.safe_load(value))
         except (yaml.YAMLError, ValueError):  # the latter for impossible dates
             raise argparse.ArgumentError(self, f'{name} must be YAML, got {value!r}') from None
-        setattr(namespace, self.dest, [*getattr(namespace, self.dest, []), name])
 
 
 def add_rig_options(
@@ -75,7 +66,7 @@ def add_rig_options(
         '--config', metavar='FILE', default=argparse.SUPPRESS, help='parameter file of the twin'
     )
     parser.add_argument(
-        '-p', dest=_NAMED, metavar='NAME:=VALUE', action=_SetParameter, default=argparse.SUPPRESS,
+        '-p', metavar='NAME:=VALUE', action=_SetParameter, default=argparse.SUPPRESS,
         help='set any parameter of the twin (docs/parameters.md); may be repeated',
     )
     title, text = 'parameters of the rig', 'as for the twin; options override the file'
@@ -99,11 +90,12 @@ def add_options(
     group = parser.add_argument_group(title, description)
     for name in names:
         entry = _MOTION if name == _MOTION.name else TWIN.by_name[name]
+        option = 'layer' if name == 'layer.name' else name.rpartition('.')[2].replace('_', '-')
         text = f'{entry.meaning}; {entry.rule}'
         if entry.default != '':
             text += f' (default {value_text(entry.default)})'
         group.add_argument(
-            option_of(name),
+            f'--{option}',
             dest=name,
             metavar=entry.unit.upper() or ('NAME' if isinstance(entry.default, str) else 'NUMBER'),
             type=str if isinstance(entry.default, str) else _number_or_text,
@@ -121,21 +113,7 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
     if motion not in TWIN.by_name['engine.motion'].choices:
         request |= {'engine.motion': 'file', 'engine.motion_file': motion}
     settings = files.read(values['config']) if 'config' in values else TWIN.defaults()
-    try:
-        settings.update(TWIN.change(settings, request))
-    except ParameterError as error:
-        options = (
-            f'{argument_of(arguments, name)}: ' for name in error.names if name in request
-        )
-        raise ParameterError(f'{next(options, "")}{error}', *error.names) from None
-    return settings
-
-
-def argument_of(arguments: argparse.Namespace, name: str) -> str:
-    """Return the argument that has set a parameter, for messages."""
-    named = name in getattr(arguments, _NAMED, ())
-    option = '-p' if named else option_of(name.removesuffix('_file'))  # of --motion FILE
-    return f'argument {option}'
+    return {**settings, **TWIN.change(settings, request)}
 
 
 def stated_parameters(arguments: argparse.Namespace) -> set[str]:

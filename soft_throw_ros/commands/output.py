@@ -36,20 +36,33 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print an error in one line and exit with 2."""
         text = ' '.join(message.splitlines())  # a quoted argument may contain line ends
-        self.exit(2, f'{self.prog}: error: {text}\n')
+        self.exit(2, f'{self.prog}: error: {printable(text)}\n')
 
 
 def run_command(
     parser: CommandParser,
     run: Callable[[argparse.Namespace], int],
     args: list[str] | None = None,
+    *,
+    compiles: bool = False,
 ) -> int:
-    """Parse the arguments of a command and run it; report a ValueError as the parser's own."""
+    """
+    Parse the arguments of a command and run it; report a ValueError as the parser's own.
+
+    With `compiles`, print a notice if the command takes longer than two seconds.
+    """
     arguments = parser.parse_args(args)
+    text = 'computing; the first run compiles kernels, which takes half a minute'
+    notice = threading.Timer(2.0, print_note, (parser.prog, text))
+    notice.daemon = True
+    if compiles:
+        notice.start()
     try:
         return run(arguments)
     except ValueError as error:
         parser.error(str(error))
+    finally:
+        notice.cancel()
 
 
 @contextlib.contextmanager
@@ -83,22 +96,9 @@ def require(feature: str, extra: str, *modules: str) -> None:
             )
 
 
-@contextlib.contextmanager
-def slow_notice(command: str) -> Iterator[None]:
-    """Print a notice to standard error if a command computes for longer than two seconds."""
-    text = 'computing; the first run compiles kernels, which takes half a minute'
-    timer = threading.Timer(2.0, print_note, (command, text))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
 def print_note(command: str, text: str) -> None:
     """Print a note of a command to standard error."""
-    print(f'{command}: {text}', file=sys.stderr, flush=True)
+    print(f'{command}: {printable(text)}', file=sys.stderr, flush=True)
 
 
 def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
@@ -108,12 +108,16 @@ def print_result(data: object, lines: Iterable[str], *, as_json: bool) -> None:
 
 
 def print_lines(lines: Iterable[str]) -> None:
-    """Print lines; escape control characters, which names in an untrusted bag may contain."""
-    text = ''.join(
+    """Print lines."""
+    print(printable('\n'.join(lines)), flush=True)
+
+
+def printable(text: str) -> str:
+    """Escape control characters, which names in an untrusted bag may contain."""
+    return ''.join(
         letter if letter.isprintable() or letter in '\n\t' else repr(letter)[1:-1]
-        for letter in '\n'.join(lines)
+        for letter in text
     )
-    print(text, flush=True)
 
 
 def _plain(value: object) -> object:

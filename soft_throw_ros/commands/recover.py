@@ -19,9 +19,7 @@ def main(args: list[str] | None = None) -> int:
         'some were lost, 2 if all were.',
     )
     parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
-    parser.add_argument(
-        '--to', metavar='OUT', help='the new bag (default: BAG_recovered, beside the old bag)'
-    )
+    parser.add_argument('--to', metavar='OUT', help='the new bag (default: BAG_recovered)')
     return run_command(parser, _run, args)
 
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from soft_throw_ros.commands import options, output
-from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import rig_of, Settings, TWIN
 from soft_throw_ros.configuration.twin import RIG_PARAMETERS
 from soft_throw_ros.core.closed_form import spring_release
@@ -21,6 +20,13 @@ from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 
+_OF_RIG = (
+    'natural_frequency', 'mass_ratio', 'speed_ratio', 'crossing_time', 'relaxation_time',
+)
+_OF_THROW = (
+    'ejection_time', 'ejection_speed', 'peak_plate_speed', 'energy_transfer', 'apex_height',
+    'plate_work', 'heat',
+)
 _NOTES = {
     'throw': 'whole throw of a rigid projectile, as the twin computes it',
     'spring': 'layer without mass and loss, harmonic plate, no gravity (App. A)',
@@ -31,17 +37,16 @@ _NOTES = {
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0, or 1 without a throw."""
-    parser = CommandParser(description='Predict one throw.', usage='%(prog)s [OPTION ...]')
+    parser = output.CommandParser(description='Predict one throw.', usage='%(prog)s [OPTION ...]')
     parser.add_json_option()
     parser.add_argument('--verbose', action='store_true', help='print all predictions')
     options.add_rig_options(parser)
-    return output.run_command(parser, _run, args)
+    return output.run_command(parser, _run, args, compiles=True)
 
 
 def _run(arguments: argparse.Namespace) -> int:
     settings = options.read_settings(arguments)
-    with output.slow_notice('throw'):
-        prediction = predict(settings)
+    prediction = predict(settings)
     lines = _lines(prediction, rig_of(settings), arguments.verbose)
     uncertainty = prediction['uncertainty']
     data = {**prediction, 'uncertainty': uncertainty and uncertainty.values()}
@@ -73,12 +78,8 @@ def predict(settings: Settings) -> dict[str, Any]:
             name: settings[name] for name in (*RIG_PARAMETERS, *TWIN.names_in('uncertainty'))
         },
         'rig': {
-            'mass_ratio': rig.mass_ratio,
-            'speed_ratio': rig.speed_ratio,
             'frequency_ratio': rig.natural_frequency / rig.engine.frequency,
-            'natural_frequency': rig.natural_frequency,
-            'crossing_time': rig.crossing_time,
-            'relaxation_time': rig.relaxation_time,
+            **{name: getattr(rig, name) for name in _OF_RIG},
         },
         **parts,
         'notes': notes,
@@ -108,26 +109,17 @@ def _simulated(rig: Rig) -> dict[str, float]:
     mass, release, loads = rig.projectile.mass, throw.events[0], throw.loads
     rise = release.position - rig.rest_height
     projectile_energy = mass * (0.5 * release.velocity**2 + rig.gravity * rise)
-    result: dict[str, float] = {
-        'ejection_time': throw.ejection_time,
+    return {
+        **{name: getattr(throw, name) for name in _OF_THROW},
         'ejection_phase': throw.ejection_time * rig.engine.frequency,
-        'ejection_speed': throw.ejection_speed,
-        'peak_plate_speed': throw.peak_plate_speed,
-        'energy_transfer': throw.energy_transfer,
         'recontacts': len(throw.ejections) - 1,
         'last_ejection_time': throw.last_release.time,
         'last_ejection_speed': throw.last_release.velocity,
         'last_energy_transfer': (throw.last_release.velocity / throw.peak_plate_speed) ** 2,
         **{f'peak_{name}': value for name, value in loads._asdict().items()},
-        'plate_work': throw.plate_work,
         'layer_energy': throw.plate_work - throw.heat - projectile_energy,
         'projectile_energy': projectile_energy,
     }
-    if rig.gravity:
-        result['apex_height'] = throw.apex_height
-    if throw.heat:
-        result['heat'] = throw.heat
-    return result
 
 
 def _lines(prediction: dict[str, Any], rig: Rig, is_verbose: bool) -> Iterator[str]:

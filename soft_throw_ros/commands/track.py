@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from soft_throw_ros.commands import options, output
-from soft_throw_ros.commands.output import CommandParser
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.identification.spots import BODIES, follow_spots, Spot, tracks_of
 from soft_throw_ros.identification.track_csv import csv_lines
@@ -32,25 +31,19 @@ _MIN_SEEN = 0.5  # share of the pictures that must show the plate for its freque
 
 def main(args: list[str] | None = None) -> int:
     """Run the command; return exit code 0. Notes on missing samples go to standard error."""
-    parser = CommandParser(description=__doc__)
+    parser = output.CommandParser(description=__doc__)
     add = parser.add_argument
     add('video', metavar='VIDEO', help='file that FFmpeg reads, or folder of numbered pictures')
     add('--rate', metavar='HZ', type=options.positive, required=True, help='that of the camera')
-    add(
-        '--scale', metavar=('M', 'PIXELS'), type=options.positive, nargs=2, required=True,
-        help='a known length, and its size in the pictures',
-    )
+    add('--scale', metavar=('M', 'PIXELS'), type=options.positive, nargs=2, required=True,
+        help='a known length, and its size in the pictures')
     add('--output', metavar='FILE', type=options.new_file(), help='CSV (default: standard output)')
-    add(
-        '--spots', metavar='BODY,...',
+    add('--spots', metavar='BODY,...',
         help=f'bodies of the spots from below: {", ".join(BODIES)} (default: the lowest is on the '
-        'plate, the highest on the projectile)',
-    )
+        'plate, the highest on the projectile)')
     add('--light-spots', action='store_true', help='spots are lighter than their background')
-    add(
-        '--overlay', metavar='FILE.png', type=options.new_file('.png'),
-        help='picture of the paths of the spots',
-    )
+    add('--overlay', metavar='FILE.png', type=options.new_file('.png'),
+        help='picture of the paths of the spots')
     return output.run_command(parser, _run, args)
 
 
@@ -87,14 +80,12 @@ def _run(arguments: argparse.Namespace) -> int:
 def _gap_notes(spots: Sequence[Spot], count: int) -> Iterator[str]:
     """Describe the gaps of each spot, except the pictures after it has left the view."""
     for spot in spots:
+        end = [] if spot.has_left else [count]
         gaps = [
             f'{before + 1} to {after - 1}'
-            for before, after in pairwise([-1, *spot.picture])
+            for before, after in pairwise([-1, *spot.picture, *end])
             if after > before + 1
         ]
-        last = spot.picture[-1] if spot.picture else -1
-        if last < count - 1 and not spot.has_left:
-            gaps.append(f'{last + 1} to the end')
         if gaps:
             yield f'the spot at {spot.location} is not seen in pictures {", ".join(gaps)}'
 

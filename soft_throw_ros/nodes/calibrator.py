@@ -29,13 +29,8 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from soft_throw_ros.configuration import Settings
-from soft_throw_ros.configuration.interface import (
-    CALIBRATOR_TOPICS,
-    resolve,
-    TWIN_SERVICES,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration import interface, Settings
+from soft_throw_ros.configuration.interface import CALIBRATOR_TOPICS, TWIN_TOPICS
 from soft_throw_ros.configuration.node_tables import CALIBRATOR, RIG
 from soft_throw_ros.configuration.twin import joint_names
 from soft_throw_ros.core.rig import Rig
@@ -44,7 +39,7 @@ from soft_throw_ros.identification.flight import flight_speed, motion_delay
 from soft_throw_ros.identification.least_squares import Estimate, fit_warnings
 from soft_throw_ros.identification.rig_fit import fit_rig, RigFit
 from soft_throw_ros.identification.tracks import ThrowTracks, Track, TrackError
-from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_throw_result, msg_to_time
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_throw_result
 from soft_throw_ros.nodes.measured import HeightReader, MAX_DATA_RATE
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run, RunnableNode, STOP_TIMEOUT
@@ -65,7 +60,6 @@ _PAUSE = 0.5  # pause between two requests for the recommendation, which takes s
 _MAX_ATTEMPTS = 120  # number of requests for the recommendation, one minute in total
 _ANSWER_TIMEOUT = 10.0  # longest wait for a service of another node [s]
 _RELEASE_TIME_ERROR = 1e-4  # standard error of a release, by delays of the sensors [s]
-_KEPT_COMMANDS = 4  # number of the last commands that are kept
 _DESCRIPTION = FitDescription(
     dict.fromkeys(('layer.thickness', 'layer.diameter', 'projectile.mass'), FIXED)
 )
@@ -73,12 +67,12 @@ _LAYER = tuple(entry.name for entry in RIG.entries if entry.group == 'layer')
 _OF_COMMAND = ('engine.motion', 'engine.motion_file', 'recommendation.vary')
 
 
-class MeasuredPositions:
+class MeasuredPositions(HeightReader):
     """The measured positions of two joints in the last seconds, by the clock of a twin."""
 
     def __init__(self, node: RunnableNode, twin: str, joints: tuple[str, str]) -> None:
         topic = TWIN_TOPICS.measured_joint_states.at(twin)
-        self._reader = HeightReader(node, topic, joints, Counter())
+        super().__init__(node, topic, joints, Counter())
         self.clock_offset_ns = 0  # added to the stamps
         self._batches: deque[Samples] = deque(maxlen=_KEPT_READS)
 
@@ -89,7 +83,7 @@ class MeasuredPositions:
 
     def read_messages(self) -> None:
         """Read the messages that have arrived."""
-        for samples in self._reader.read(_READ_PERIOD * MAX_DATA_RATE):
+        for samples in self.read(_READ_PERIOD * MAX_DATA_RATE):
             if self._batches and samples.stamps[-1] < self._batches[-1].stamps[-1] - _SET_BACK:
                 self._batches.clear()
             self._batches.append(samples)
@@ -172,15 +166,15 @@ class Calibrator(RunnableNode):
         self._joints = joint_names(settings)
         self._measured = MeasuredPositions(self, twin, self._joints)
         create_subscription(self, TWIN_TOPICS.throw_result.at(twin), self._on_results)
-        self._commands: deque[JointTrajectory] = deque(maxlen=_KEPT_COMMANDS)
+        self._command: JointTrajectory | None = None  # the last one
         create_subscription(self, TWIN_TOPICS.plate_trajectory.at(twin), self._on_command)
         self._twin = RemoteParameters(self, twin)
         self._rig = RemoteParameters(self, full_name(self, rig)) if rig else None
-        apply = resolve(TWIN_SERVICES.apply_recommendation.name, twin)
+        apply = interface.resolve(interface.TWIN_SERVICES.apply_recommendation.name, twin)
         self._apply = self.create_client(Trigger, apply)
         self._outgoing = Publishers(self, CALIBRATOR_TOPICS)
         self._status = self._outgoing.status('identification', 'nothing has been identified yet')
-        self._ended: tuple[ThrowResult, int] | None = None  # last throw and its stamp, until used
+        self._ended: ThrowResult | None = None  # the last throw, until it is used
         self._rig_of_throws: Rig | None = None  # of the collected throws
         self._mispredicted: list[ThrowTracks] = []  # in a row
         self._predicted: list[MeasuredThrow] = []  # in a row
@@ -213,7 +207,7 @@ class Calibrator(RunnableNode):
     # Executor thread
 
     def _on_command(self, msg: JointTrajectory) -> None:
-        self._commands.append(msg)
+        self._command = msg
 
     def _on_results(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -223,16 +217,15 @@ class Calibrator(RunnableNode):
                 self.get_logger().warning(f'a result cannot be used: {error}')
                 continue
             if result.stage == 'final' and not self._worker.is_alive():
-                self._ended = result, msg_to_time(msg.header.stamp)
+                self._ended = result
                 if result.clock_offset_ns is not None:
                     self._measured.clock_offset_ns = result.clock_offset_ns
 
     def _read_measurements(self) -> None:
         """Read measurements, and use the last throw as soon as its track is complete."""
         self._measured.read_messages()
-        if self._ended is None:
+        if (result := self._ended) is None:
             return
-        result, stamp_ns = self._ended
         period_ns = 1e9 / result.rig.engine.frequency
         begin_ns = result.start_ns - round(_BEFORE * period_ns)
         end_ns = result.start_ns + round(_AFTER * period_ns)
@@ -243,7 +236,7 @@ class Calibrator(RunnableNode):
             if self._commanded is None:
                 self._on_measured_throw(result, begin_ns, end_ns)
             elif result.is_valid and result.accuracy is None:
-                self._on_commanded_throw(self._commanded, result, stamp_ns)
+                self._on_commanded_throw(self._commanded, result)
         except ValueError as error:  # of the tracks, or a command
             self.get_logger().warning(f'throw {result.throw} cannot be used: {error}')
 
@@ -277,19 +270,15 @@ class Calibrator(RunnableNode):
                     'the motion of the plate',
                 )
 
-    def _on_commanded_throw(
-        self, throws: list[MeasuredThrow], result: ThrowResult, end_ns: int
-    ) -> None:
+    def _on_commanded_throw(self, throws: list[MeasuredThrow], result: ThrowResult) -> None:
         """Measure a throw whose motion the twin commanded, and report the gain after some."""
-        commands = [msg for msg in self._commands if msg_to_time(msg.header.stamp) < end_ns]
-        if result.first is None or not commands:
+        if result.first is None or self._command is None:
             return
-        start_ns = msg_to_time(commands[-1].header.stamp)
-        release_ns = start_ns + round(1e9 * result.first.ejection_time)
-        tracks = self._measured.between(start_ns, release_ns, max_gap=result.rig.crossing_time)
-        motion = msg_to_motion(commands[-1], self._joints[0])
+        due_ns = result.start_ns + round(1e9 * result.first.ejection_time)  # of the release
+        tracks = self._measured.between(result.start_ns, due_ns, max_gap=result.rig.crossing_time)
+        motion = msg_to_motion(self._command, self._joints[0])
         delay_ns = round(1e9 * motion_delay(tracks.plate, motion))
-        throws.append(self._measure_flight(result, release_ns + delay_ns))
+        throws.append(self._measure_flight(result, due_ns + delay_ns))
         if len(throws) == self.parameters.settings['throws']:
             self._report(*describe_gain(self._predicted, throws, result.rig.gravity))
             self._predicted, self._commanded = [], None
@@ -385,27 +374,21 @@ def describe_gain(
     The errors have the larger scatter, among or within throws, and the common errors.
     """
     values: dict[str, object] = {}
-    means: list[Estimate] = []
     for name, throws in (('engine', by_engine), ('commanded', commanded)):
         speeds, errors = np.transpose([throw.speed for throw in throws])
-        scatter = math.sqrt(float(np.mean(errors**2)))
-        if speeds.size > 1:
-            scatter = max(scatter, float(speeds.std(ddof=1)))
+        scatter = float(max(np.sqrt(np.mean(errors**2)), speeds.std(ddof=int(speeds.size > 1))))
         error = math.hypot(scatter / math.sqrt(speeds.size), gravity * _RELEASE_TIME_ERROR)
-        speed = Estimate(float(speeds.mean()), error)
-        ratio = speed.value / float(np.mean([throw.peak_plate_speed for throw in throws]))
-        alpha = Estimate(ratio**2, 2.0 * ratio**2 * error / speed.value)
-        means += speed, alpha
-        values |= {
-            f'{name}.ejection_speed': speed,
-            f'{name}.energy_transfer': alpha,
-            f'{name}.throws': speeds.size,
-        }
-    before, alpha_before, after, alpha_after = means
-    return (
-        f'measured gain by the commanded motion: ejection speed {before} -> {after} m/s, '
-        f'energy transfer {alpha_before} -> {alpha_after}'
-    ), values
+        mean = float(speeds.mean())
+        alpha = (mean / float(np.mean([throw.peak_plate_speed for throw in throws]))) ** 2
+        values[f'{name}.ejection_speed'] = Estimate(mean, error)
+        values[f'{name}.energy_transfer'] = Estimate(alpha, 2.0 * alpha * error / mean)
+        values[f'{name}.throws'] = speeds.size
+    gains = (
+        f'{values[f"engine.{name}"]} -> {values[f"commanded.{name}"]}'
+        for name in ('ejection_speed', 'energy_transfer')
+    )
+    text = 'measured gain by the commanded motion: ejection speed {} m/s, energy transfer {}'
+    return text.format(*gains), values
 
 
 main = partial(run, 'calibrator', Calibrator)

@@ -27,7 +27,7 @@ from soft_throw_ros.configuration.table import number_of
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.storage.bag_folder import load_profiles
-from soft_throw_ros.storage.message import LATEST, SECOND
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import ThrowResult
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -71,8 +71,8 @@ def text_to_profiles(text: str) -> list[qos.QoSProfile]:
     """
     Parse the quality-of-service profiles in a bag, as written by any version of rosbag2.
 
-    Policies are names, or numbers before version 9; unknown policies become rclpy's default.
-    A text without valid profiles yields an empty list.
+    Policies are names, or numbers before version 9; unknown policies and all times become
+    rclpy's defaults. A text without valid profiles yields an empty list.
     """
     try:
         return [_dict_to_profile(item) for item in load_profiles(text)]
@@ -86,10 +86,6 @@ def _dict_to_profile(item: Mapping[str, Any]) -> qos.QoSProfile:
         for known in kind:
             if known.name != 'UNKNOWN' and item.get(name) in (known.name.lower(), known.value):
                 values[name] = known
-    for name in _TIMES:
-        if name in item:
-            time = int(item[name]['sec']) * SECOND + int(item[name]['nsec'])
-            values[name] = Duration(nanoseconds=min(time, LATEST))
     return qos.QoSProfile(**values)
 
 
@@ -139,11 +135,9 @@ def cloud_to_msg(header: Header, names: Sequence[str], points: NDArray[np.float6
     )
 
 
-def throw_result_to_msg(
-    result: ThrowResult, node_name: str, additional: Mapping[str, float] = MappingProxyType({})
-) -> DiagnosticStatus:
-    """Create a status from the result of a throw, its rig, and additional values."""
-    values = {**result.values(), **additional, **rig_values(result.rig)}
+def throw_result_to_msg(result: ThrowResult, node_name: str) -> DiagnosticStatus:
+    """Create a status from the result of a throw and its rig."""
+    values = {**result.values(), **rig_values(result.rig)}
     is_bad = not (result.is_linear and result.is_valid)
     return status_to_msg(node_name, 'throw', throw_text(result), values, warn=is_bad)
 

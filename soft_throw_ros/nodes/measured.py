@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from functools import partial
 
-from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
-from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.nodes.process import RunnableNode
 from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
+from soft_throw_ros.nodes.topics import qos_profile
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
-from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.sample_buffer import FARTHEST, Samples
+from soft_throw_ros.storage.message import Channel, SECOND
+from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import Session
 
 MAX_MESSAGE_SIZE = 2**14  # that is decoded, 500 joints: larger ones hold up a tick [bytes]
@@ -42,7 +40,9 @@ class HeightReader:
     def __init__(
         self, node: RunnableNode, topic: Topic, joints: tuple[str, str], refused: Counter[str]
     ) -> None:
-        self.subscription = RawSubscription.of(node, topic)
+        name = node.resolve_topic_name(topic.name)
+        channel = Channel(topic=name, type=topic.type, schema='')
+        self.subscription = RawSubscription(node, channel, qos_profile(topic))
         node.add_cleanup(self.subscription.close)
         self._joints = joints
         self._refused = refused
@@ -89,47 +89,40 @@ class SensorClock:
     def __init__(self) -> None:
         self.offset_ns = 0  # correction to be added to stamps [ns]
         self.problem = ''  # a sentence on the fault of the stamps and its correction, if any
-        self._begin_ns: int | None = None  # start of the observation [ns]
+        self._stamps: list[int] = []  # of this observation [ns]
+        self._begin_ns = self._least_ns = 0  # start of the observation, and smallest delay [ns]
         self._watching_ns = _FIRST
-        self._count = 0
-        self._whole = 0  # stamps of whole seconds
-        self._least_ns = 0
 
     def observe(self, stamps: Sequence[int], now_ns: int) -> bool:
         """Observe stamps that have just arrived; return whether `problem` has changed."""
-        self._count += len(stamps)
-        self._whole += sum(stamp_ns % SECOND == 0 for stamp_ns in stamps)
-        newest_ns = max(stamps)
-        delay_ns = now_ns - newest_ns
-        if self._begin_ns is None:
+        delay_ns = now_ns - max(stamps)
+        if not self._stamps:
             self._begin_ns, self._least_ns = now_ns, delay_ns
         self._least_ns = min(self._least_ns, delay_ns)
-        if self._count < _FEWEST or now_ns - self._begin_ns < self._watching_ns:
+        self._stamps += stamps
+        if len(self._stamps) < _FEWEST or now_ns - self._begin_ns < self._watching_ns:
             return False
-        problem = self.problem
-        self._estimate(newest_ns)
-        self._begin_ns, self._count, self._whole, self._watching_ns = None, 0, 0, _LATER
-        return self.problem != problem
+        before = self.problem
+        self._estimate()
+        self._stamps, self._watching_ns = [], _LATER
+        return self.problem != before
 
-    def _estimate(self, newest_ns: int) -> None:
+    def _estimate(self) -> None:
         """Use the smallest delay as offset, if it exceeds the transport time."""
         least_ns = self._least_ns
-        if self._whole == self._count:
+        if not any(stamp_ns % SECOND for stamp_ns in self._stamps):
+            stamp = 'of whole seconds' if any(self._stamps) else '0'
             self.offset_ns = 0
-            stamp = 'of whole seconds' if newest_ns else '0'
             self.problem = f'header.stamp of the samples is {stamp}: it must be their time'
-            return
-        if abs(least_ns - self.offset_ns) <= TOLERATED:
-            return
-        if abs(least_ns) <= TOLERATED:
+        elif not self.offset_ns or abs(least_ns - self.offset_ns) > TOLERATED:
             self.offset_ns, self.problem = 0, ''
-        else:
-            size, side = abs(least_ns) / SECOND, 'behind' if least_ns > 0 else 'ahead of'
-            self.offset_ns = least_ns
-            self.problem = (
-                f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
-                'which corrects them'
-            )
+            if abs(least_ns) > TOLERATED:
+                size, side = abs(least_ns) / SECOND, 'behind' if least_ns > 0 else 'ahead of'
+                self.offset_ns = least_ns
+                self.problem = (
+                    f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
+                    'which corrects them'
+                )
 
 
 class Measurement:
@@ -141,12 +134,7 @@ class Measurement:
     """
 
     def __init__(
-        self,
-        node: RunnableNode,
-        session: Session,
-        joints: tuple[str, str],
-        *,
-        now: Callable[[], int],
+        self, node: RunnableNode, session: Session, joints: tuple[str, str], now: Callable[[], int]
     ) -> None:
         self.age_ns = 0  # from the stamp of the newest sample to its arrival
         self.clock = SensorClock()
@@ -155,8 +143,7 @@ class Measurement:
         self._session = session
         self._now = now
         self._logger = node.get_logger()
-        self._counts: Counter[str] = Counter()  # at the last status
-        self._status = partial(status_to_msg, node.get_fully_qualified_name(), 'measurement')
+        self._counts: dict[str, int] = {}  # at the last status
         topic, refused = TWIN_TOPICS.measured_joint_states, session.sample_counts.refused
         self._reader = HeightReader(node, topic, joints, refused)
 
@@ -164,34 +151,25 @@ class Measurement:
         """Pass the samples that have arrived to a measured session, at most those of a tick."""
         for samples in self._reader.read(MAX_DATA_RATE / self._session.rate):
             if self._session.is_measured:
-                self._correct_stamps(samples)
+                self._observe(samples.stamps.tolist())
+                samples.stamps += self.clock.offset_ns
                 self._session.measure(samples, clock_offset_ns=self.clock.offset_ns)
 
-    def count(self) -> Counter[str]:
-        """Return the numbers of messages and samples so far, by their treatment."""
-        subscription, counts = self._reader.subscription, self._session.sample_counts
+    def status(self) -> tuple[str, dict[str, float], bool]:
+        """Return text, values and whether to warn of the samples since the last call."""
+        subscription, so_far = self._reader.subscription, self._session.sample_counts
         subscription.poll_losses()
-        refused = dict(counts.refused)  # a copy, because the tick thread modifies the counter
-        if refused.get('out of range'):
-            self._logger.warning(
-                f'heights of the samples are beyond {FARTHEST:g} m: if they are in millimetres, '
-                'divide them by 1000',
-                once=True,
-            )
-        return Counter({
-            'samples': counts.taken,
-            'samples_out_of_order': counts.out_of_order,
-            'samples_jumped': counts.outliers,
+        refused = dict(so_far.refused)  # a copy, because the tick thread modifies the counter
+        counts = {
+            'samples': so_far.taken,
+            'samples_out_of_order': so_far.out_of_order,
+            'samples_jumped': so_far.outliers,
             'messages': subscription.received,
             'messages_lost': subscription.lost,
             'samples_refused': sum(refused.values()),
             **{f'refused.{why}': count for why, count in refused.items()},
-        })
-
-    def status(self) -> DiagnosticStatus:
-        """Return the status of the samples received since the last call."""
-        counts = self.count()
-        new = {name: count - self._counts[name] for name, count in counts.items()}
+        }
+        new = {name: count - self._counts.get(name, 0) for name, count in counts.items()}
         self._counts = counts
         is_lossy = not new['samples'] or new['samples_refused'] or new['messages_lost']
         text = '{samples} samples, {messages_lost} lost, {samples_refused} refused'.format(**new)
@@ -202,25 +180,20 @@ class Measurement:
             'clock_offset': self.clock.offset_ns / SECOND,
             'age': self.age_ns / SECOND,
         }
-        return self._status(text, values, warn=bool(is_lossy or self.clock.problem))
+        return text, values, bool(is_lossy or self.clock.problem)
 
-    def _correct_stamps(self, samples: Samples) -> None:
-        """Correct the stamps of samples by the offset of the sensor's clock."""
-        now = self._now()
-        if now != self._arrival_ns:
-            self._observe(now)
+    def _observe(self, stamps: list[int]) -> None:
+        """Compare all stamps of a step of the clock, which may be long, with its end."""
+        before, now = self._arrival_ns, self._now()
+        if now != before:
+            if self._arrived and now > before:  # no bag that is played again
+                arrival = min(max(*self._arrived, before), now)
+                self.age_ns = arrival - max(self._arrived) - self.clock.offset_ns
+                if self.clock.observe(self._arrived, arrival):
+                    text = self.clock.problem or 'stamps of the samples are right again'
+                    self._logger.warning(text)
             self._arrival_ns, self._arrived = now, []
-        self._arrived += samples.stamps.tolist()
-        samples.stamps += self.clock.offset_ns
-
-    def _observe(self, now: int) -> None:
-        """Compare the stamps of one step of the clock, which may be long, with its end."""
-        if not self._arrived or now < self._arrival_ns:  # a bag that is played again
-            return
-        arrival = min(max(*self._arrived, self._arrival_ns), now)
-        self.age_ns = arrival - max(self._arrived) - self.clock.offset_ns
-        if self.clock.observe(self._arrived, arrival):
-            self._logger.warning(self.clock.problem or 'stamps of the samples are right again')
+        self._arrived += stamps
 
 
 def to_samples(values: JointStates, joints: tuple[str, str]) -> Samples | None:

@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-import math
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import files, ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.table import Entry, quote
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.rclpy_internals import parameter_overrides
 
 
 class NodeParameters:
@@ -25,8 +23,8 @@ class NodeParameters:
     settings before they are accepted, and with its result for the present ones, `checked`, None at
     first; it refuses by ValueError. `arguments` name the files in a ParameterError at the start.
 
-    rclpy checks names, types and ranges before it calls the on-set callbacks, and its reasons lack
-    names and values. So the pre-set callback checks requests, in the executor's thread.
+    rclpy checks names and types before it calls the on-set callbacks, and its reasons lack names
+    and values. So the pre-set callback checks requests, in the executor's thread.
     """
 
     def __init__(
@@ -42,8 +40,9 @@ class NodeParameters:
         self._table = table
         self._on_changed = on_changed
         self._check = check
-        self._results: dict[str, Value] = {}  # the present ones
-        overrides = parameter_overrides(node)
+        self._results: Settings = {}  # the present ones
+        # a private part of rclpy, which ignores undeclared ones: they are misspelled names
+        overrides = node._parameter_overrides.values()
         values = {item.name: item.value for item in overrides if not self._is_foreign(item.name)}
         sources = files.select(files.read_arguments(arguments), node.get_fully_qualified_name())
         self.settings: Settings = files.start(values, sources, table)
@@ -63,12 +62,9 @@ class NodeParameters:
             raise ParameterError(result.reason)
 
     def set_results(self, results: Mapping[str, float | str]) -> None:
-        """Set `recommended.*`, named without this prefix; missing ones become nan, or empty."""
-        values = {entry.name: entry.default for entry in self._table.entries if entry.is_result}
-        for name, value in results.items():
-            values[f'recommended.{name}'] = value if isinstance(value, str) else float(value)
-        self._results = values
-        self.apply(values)
+        """Set all parameters `recommended.*`."""
+        self._results = results
+        self.apply(results)
 
     def _is_foreign(self, name: str) -> bool:
         """Return whether other code has declared a parameter."""
@@ -123,17 +119,9 @@ def shown(value: object) -> str:
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:
+    """Describe a parameter; its range is a text, because rclpy would check it without reasons."""
     unit = f' [{entry.unit}]' if entry.unit else ''
     constraints = ': '.join(filter(None, (entry.rule, ', '.join(entry.examples))))
-    descriptor = ParameterDescriptor(
+    return ParameterDescriptor(
         description=f'{entry.meaning}{unit}', additional_constraints=constraints
     )
-    low = 0 if entry.or_zero else entry.low
-    if not math.isfinite(low) or isinstance(entry.default, tuple):
-        return descriptor  # ROS has no ranges for lists
-    if isinstance(entry.default, int):
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
-    else:
-        limits = FloatingPointRange(from_value=float(low), to_value=float(entry.high))
-        descriptor.floating_point_range = [limits]
-    return descriptor

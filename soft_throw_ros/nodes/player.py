@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from soft_throw_ros.configuration.interface import REPLAY_CLOCK, REPLAY_SERVICES
 from soft_throw_ros.nodes.conversions import text_to_profiles, time_to_msg, UNKNOWN_DEPTH
@@ -162,12 +162,6 @@ class Player(RunnableNode):
 
 
 def _offer(text: str) -> QoSProfile:
-    """Return the profile in a bag that is compatible with the most subscribers."""
-    return max(
-        text_to_profiles(text),
-        key=lambda profile: (
-            profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
-            profile.reliability is ReliabilityPolicy.RELIABLE,
-        ),
-        default=QoSProfile(depth=UNKNOWN_DEPTH),
-    )
+    """Return the profile in a bag that fits most subscribers: latched before reliable ones."""
+    profiles = text_to_profiles(text) or [QoSProfile(depth=UNKNOWN_DEPTH)]
+    return min(profiles, key=lambda profile: (profile.durability, profile.reliability))

@@ -8,13 +8,13 @@ A node as a process: from its arguments to its exit code.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import metadata, resources
 import os
 import signal
+import subprocess
 import sys
 import threading
 from typing import Any
@@ -32,6 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 from soft_throw_ros.configuration import files, ParameterError
+from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.twin.session import RequestRejected
 from std_srvs.srv import Trigger
 
@@ -40,7 +41,6 @@ EXIT_TIME = 0.6  # longest time from the end of `close` to the end of the proces
 STOP_TIMEOUT = 0.3  # longest wait for one thread to end [s]
 _REFUSAL_LOG_PERIOD = 1.0  # shortest time between two log lines about exceptions [s]
 _KILTED = 9  # version of rclpy
-_DISTRIBUTIONS = {7: 'jazzy', _KILTED: 'kilted'}
 _RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _LOCAL = ('LOCALHOST', 'OFF')  # discovery ranges that are limited to this machine
 _PROFILES = ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE')
@@ -125,9 +125,7 @@ class RunnableNode(Node):
         """Complete files and everything else that must not be cut short."""
 
 
-def run(
-    name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None
-) -> int:
+def run(name: str, make: Callable[..., RunnableNode], args: Sequence[str] | None = None) -> int:
     """
     Run a node until SIGINT, SIGTERM or SIGHUP, or until it comes to an end by itself.
 
@@ -137,9 +135,8 @@ def run(
     usage = f'{name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]'
     arguments = sys.argv[1:] if args is None else args
     if '--help' in arguments or '-h' in arguments:
-        title = (sys.modules[make.__module__].__doc__ or '').strip().partition('\n')[0]
         more = 'docs/parameters.md lists the parameters, and ros2 param describe explains each.'
-        argparse.ArgumentParser(usage=usage, description=title, epilog=more).print_help()
+        print(f'usage: {usage}\n\n{more}')
         return 0
     is_stopping = threading.Event()
 
@@ -163,6 +160,12 @@ def run(
         _on_signals(signal.SIG_IGN)
         code = _shut_down(node, code)
     return code
+
+
+def start_child(*words: str) -> subprocess.Popen[bytes]:
+    """Start `soft-throw` as a process that ends with this one, and which Ctrl-C does not reach."""
+    command = bound_to_parent([sys.executable, '-m', 'soft_throw_ros', *words])
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
 
 
 def exit_after(seconds: float, code: int) -> threading.Timer:
@@ -238,11 +241,6 @@ def _shut_down(node: RunnableNode | None, code: int) -> int:
         sys.stderr.flush()
         os._exit(code)
     return code
-
-
-def distribution() -> str:
-    """Return the name of the ROS distribution, empty if unknown."""
-    return os.environ.get('ROS_DISTRO', _DISTRIBUTIONS.get(_rclpy_version(), ''))
 
 
 def _discovery_range() -> str:

@@ -3,26 +3,25 @@
 """
 Receive messages as bytes, and count the lost ones.
 
-Subscriptions are not served by an executor, which costs more than all the rest: they are drained
-every few milliseconds.
+Subscriptions are not served by an executor, which takes one message each time it wakes: that would
+cost more than all the rest. They are drained every few milliseconds, by private parts of rclpy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from itertools import islice
 import math
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import ROSClock
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from soft_throw_ros.configuration.interface import find_topic, Topic
+from soft_throw_ros.configuration.interface import find_topic
 from soft_throw_ros.nodes.conversions import profile_to_dict
-from soft_throw_ros.nodes.rclpy_internals import LossEvent, take_messages
-from soft_throw_ros.nodes.topics import load_type, make_profile, qos_profile
+from soft_throw_ros.nodes.topics import load_type, make_profile
 from soft_throw_ros.recording.loss_counter import LossCounter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.storage.bag_folder import dump_yaml
@@ -65,31 +64,30 @@ class RawSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
-        self._loss_event = LossEvent(self._subscription)
-
-    @classmethod
-    def of(cls, node: Node, topic: Topic) -> RawSubscription:
-        """Subscribe a node to a topic of this package; the channel has no schema."""
-        name = node.resolve_topic_name(topic.name)
-        return cls(node, Channel(topic=name, type=topic.type, schema=''), qos_profile(topic))
+        self._handle = self._subscription.handle
+        kind = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+        with self._handle:  # an executor that waits for events wakes for every message as well
+            self._loss_event = rclpy_implementation.EventHandle(self._handle, kind)
+        self._reported = 0  # losses, according to the middleware
 
     def drain(self, max_size: float = math.inf) -> list[Message]:
         """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []
         size = 0
-        waiting = islice(take_messages(self._subscription, self._type), _DEPTH)
-        for data, info in waiting:  # a publisher may be faster than this loop
-            number = info['publication_sequence_number']
-            number = None if number == _UNKNOWN else number
-            gid = info.get('publisher_gid')  # None before Kilted
-            if gid is not None:
-                gid = bytes(gid['data'] if isinstance(gid, dict) else gid)
-            self._counter.add(number, gid)
-            times = info['received_timestamp'], info['source_timestamp']
-            messages.append(Message(self.channel, data, *times, number or 0))
-            size += len(data)
-            if size >= max_size:
-                break
+        with self._handle:
+            while len(messages) < _DEPTH and size < max_size:  # a publisher may be faster
+                if (taken := self._handle.take_message(self._type, True)) is None:
+                    break
+                data, info = taken
+                number = info['publication_sequence_number']
+                number = None if number == _UNKNOWN else number
+                gid = info.get('publisher_gid')  # None before Kilted
+                if gid is not None:
+                    gid = bytes(gid['data'] if isinstance(gid, dict) else gid)
+                self._counter.add(number, gid)
+                received, sent = info['received_timestamp'], info['source_timestamp']
+                messages.append(Message(self.channel, data, received, sent, number or 0))
+                size += len(data)
         self.received += len(messages)
         return messages
 
@@ -102,7 +100,11 @@ class RawSubscription:
         infos = self._node.get_publishers_info_by_topic(self.channel.topic)
         new = [item for item in infos if bytes(item.endpoint_gid) not in self.publishers]
         self.publishers = {bytes(item.endpoint_gid) for item in infos}
-        self._counter.update(self.publishers, self._loss_event.count())
+        with self._loss_event:
+            status = self._loss_event.take_event()
+        if status is not None:
+            self._reported = status.total_count
+        self._counter.update(self.publishers, self._reported)
         self.lost = self._counter.lost
         for item in new:
             _, text = qos_check_compatible(item.qos_profile, self.profile)
@@ -115,29 +117,22 @@ class RawSubscription:
     def close(self) -> None:
         """Unsubscribe."""
         self.poll_losses()
-        self._loss_event.close()
+        self._loss_event.destroy_when_not_in_use()  # it would keep its subscription
         self._node.destroy_subscription(self._subscription)
 
 
 class RawSubscriptions:
     """
-    Subscriptions of a node to all `wanted` topics and namespaces, made as topics appear.
+    Subscriptions of a node to all topics whose name and type `accepts`, made as topics appear.
 
-    `is_accepted` returns for the name and type of a wanted topic whether to subscribe. `refused`
-    has the topics and publishers that are not received, with the reasons, which are also logged.
+    `refused` has the topics and publishers that are not received, with the reasons, which are also
+    logged.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        wanted: Collection[str],
-        *,
-        is_accepted: Callable[[str, str], bool] = lambda _topic, _type: True,
-    ) -> None:
+    def __init__(self, node: Node, accepts: Callable[[str, str], bool]) -> None:
         self.refused: dict[str, str] = {}
-        self._is_accepted = is_accepted
+        self._accepts = accepts
         self._node = node
-        self._wanted = wanted
         self._subscriptions: dict[str, RawSubscription] = {}
 
     def __iter__(self) -> Iterator[RawSubscription]:
@@ -156,9 +151,7 @@ class RawSubscriptions:
     def discover(self) -> None:
         """Subscribe to all wanted topics that exist, and ask for losses of the present ones."""
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self.refused or not is_wanted(topic, self._wanted):
-                continue
-            if not any(self._is_accepted(topic, type_name) for type_name in types):
+            if topic in self.refused or not any(self._accepts(topic, name) for name in types):
                 continue
             if topic in self._subscriptions:
                 if reason := self._subscriptions[topic].poll_losses():

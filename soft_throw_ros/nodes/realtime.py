@@ -14,25 +14,23 @@ import ctypes
 import gc
 import math
 import os
-import subprocess
 import sys
 import threading
 import time
 from typing import Any, TypeAlias
 
-from rclpy.clock import ClockChange, JumpThreshold, ROSClock, TimeJump
-from rclpy.duration import Duration
+from rclpy.clock import ROSClock
 from rclpy.node import Node
-from soft_throw_ros.commands.warm_up import load_kernels, missing_parts
+from soft_throw_ros.commands.warm_up import are_compiled, load_kernels
 from soft_throw_ros.configuration import Settings
-from soft_throw_ros.nodes.process import POLL, RunnableNode, STOP_TIMEOUT
-from soft_throw_ros.recording.child_process import bound_to_parent
+from soft_throw_ros.nodes.process import POLL, RunnableNode, start_child, STOP_TIMEOUT
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig
 from soft_throw_ros.twin.session import Session, TickSchedule
 
 PRIORITY = 10  # real-time priority (SCHED_FIFO) of the tick thread [-]
 _SPIN = 60_000  # polling before a deadline, about as long as a sleep overruns [ns]
+_CLOCK_POLL = 1e-3  # time between two looks at `/clock`, which has fewer messages [s]
 _FIFO_RETRY_DELAY = 1.0  # time after a stall until real-time priority returns [s]
 _SWITCH_INTERVAL = 3e-5  # shortest wait of a due tick for another Python thread [s]
 _SWITCH_FRACTION = 0.03  # the same over the tick period, to save processor time [-]
@@ -78,46 +76,29 @@ class NodeClock:
 
     def __init__(self, node: Node) -> None:
         self.epoch = 0
+        self._latest = 0  # time at the last look [ns]
         self._clock = node.get_clock()
-        assert isinstance(self._clock, ROSClock)
-        self.is_active = bool(self._clock.ros_time_is_active)
-        self._moved = threading.Event()
-        self._watch = self._clock.create_jump_callback(
-            JumpThreshold(
-                min_forward=Duration(nanoseconds=1),
-                min_backward=Duration(nanoseconds=-1),
-                on_clock_change=True,
-            ),
-            post_callback=self._on_jump,
-        )
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the node follows `/clock`."""
+        return isinstance(self._clock, ROSClock) and bool(self._clock.ros_time_is_active)
 
     def now(self) -> int:
         """Return the last time on `/clock`, 0 before the first message [ns]."""
         return int(self._clock.now().nanoseconds)
 
-    def wait_until(self, deadline: int) -> None:
-        """Wait until the clock advances, or some time."""
-        if self.now() < deadline:
-            self._moved.wait(POLL)
-        self._moved.clear()
-
-    def close(self) -> None:
-        """Unregister from the node's clock."""
-        self._watch.unregister()
-
-    def _on_jump(self, jump: TimeJump) -> None:
-        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
-            self.is_active = jump.clock_change == ClockChange.ROS_TIME_ACTIVATED
-            self.epoch += 1
-        elif jump.delta.nanoseconds < 0:
-            self.epoch += 1
-        self._moved.set()
+    def wait_until(self, _deadline: int) -> None:
+        """Wait for a moment, and look whether the clock was set back."""
+        time.sleep(_CLOCK_POLL)
+        before, self._latest = self._latest, self.now()
+        self.epoch += self._latest < before
 
 
 Clock: TypeAlias = SystemClock | NodeClock
 
 
-class Ticker:
+class Ticker(threading.Thread):
     """
     A thread that advances a session at absolute deadlines, at the rate of the session.
 
@@ -133,6 +114,7 @@ class Ticker:
     def __init__(
         self, session: Session, on_tick: Callable[[int], None], clock: Callable[[], Clock]
     ) -> None:
+        super().__init__(name='ticker', daemon=True)
         self.counts = Counter(ticks=0, ticks_late=0, ticks_skipped=0, clock_jumps=0)
         self._times: list[tuple[int, int]] = []
         self.scheduler = ''  # policy of the thread, 'fifo' or 'other'
@@ -143,22 +125,17 @@ class Ticker:
         self._schedule: TickSchedule | None = None
         self._stalled = -math.inf  # time of the last stall under real-time priority [s]
         self._is_stopping = threading.Event()
-        self._thread = threading.Thread(name='ticker', target=self._run, daemon=True)
 
     def take_times(self) -> list[tuple[int, int]]:
         """Return lateness and duration of the ticks since the last call [ns]."""
         times, self._times = self._times, []
         return times
 
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
     def stop(self, timeout: float) -> None:
         """Request the end of the thread, and wait at most `timeout` [s]."""
         self._is_stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(timeout)
+        if self.is_alive():
+            self.join(timeout)
 
     def run_due(self) -> int:
         """Run all due steps; return the deadline of the next step on the same clock [ns]."""
@@ -198,7 +175,8 @@ class Ticker:
             session.set_tick_schedule(self._schedule)
         return self._schedule
 
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Run the steps until `stop`; this is the function of the thread."""
         self.scheduler = best = set_priority(PRIORITY)
         while not self._is_stopping.is_set():
             due = self.run_due()
@@ -240,22 +218,16 @@ class RealTimeNode(RunnableNode):
 
     def prepare(self, settings: Settings, before: PreparedRig | None) -> PreparedRig:
         """Return the rig of complete settings of a twin, after kernels are compiled at first."""
-        if before is None and missing_parts():
+        if before is None and not are_compiled():
             self.get_logger().info('compiling the kernels, once for this installation')
             # In a child process, because numba suppresses exceptions of signal handlers
-            subprocess.run(
-                bound_to_parent([sys.executable, '-m', 'soft_throw_ros', 'warm_up']),
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C reaches only the node
-                check=False,
-            )
+            start_child('warm_up').wait()
         return prepare(settings, before)
 
     def attach_session(self, session: Session) -> None:
         """Make the ticker of a session, which advances after the start of the node."""
         self.session = session
         self._node_clock = NodeClock(self)
-        self.add_cleanup(self._node_clock.close)
         self.ticker = Ticker(session, self.on_tick, self._current_clock)
         self.add_cleanup(session.close)
         self.add_cleanup(self.ticker.stop, STOP_TIMEOUT)

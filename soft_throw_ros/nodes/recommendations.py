@@ -9,21 +9,23 @@ from dataclasses import dataclass
 import os
 from pathlib import Path
 import threading
+import traceback
+from typing import Any
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
+from soft_throw_ros.configuration import motions, rig_values, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
-from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion import MotionDesign
-from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.design.recommendation import RequestResult, solve_request
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.regular_file import atomic_file
 from soft_throw_ros.twin.session import RequestRejected
+
+_INTERVAL = 0.3  # from the end of a search to the next one, so that many requests cost little [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +35,6 @@ class RecommendationState:
     config: TwinConfig
     best: RequestResult | None = None
     reason: str = ''
-
-    def is_for(self, settings: Settings) -> bool:
-        """Return whether the recommendation is valid for these settings."""
-        return all(
-            value == settings[name]
-            for name, value in self.config.settings.items()
-            if affects_recommendation(name)
-        )
 
     def changes(self) -> dict[str, float | str]:
         """Return the changes that apply the recommendation; a motion is saved to a file."""
@@ -58,10 +52,13 @@ class RecommendationState:
         names = (name for name in ('thickness', 'wave_speed') if best.vary in (name, 'both'))
         return {f'layer.{name}': getattr(best, name) for name in names}
 
-    def results(self) -> dict[str, float | str]:
-        """Return the parameters `recommended.*` by their last names; empty without an answer."""
-        names = (entry.name.partition('.')[2] for entry in TWIN.entries if entry.is_result)
-        return {name: getattr(self.best, name) for name in names if hasattr(self.best, name)}
+    def results(self) -> dict[str, Any]:
+        """Return the parameters `recommended.*`; those without an answer are nan, or empty."""
+        defaults: dict[str, Any] = {e.name: e.default for e in TWIN.entries if e.is_result}
+        return {
+            name: type(default)(getattr(self.best, name.partition('.')[2], default))
+            for name, default in defaults.items()
+        }
 
     def describe(self) -> str:
         """Return the recommendation, or the reason why there is none, in one line."""
@@ -92,41 +89,16 @@ def affects_recommendation(name: str) -> bool:
     return entry.is_of_rig or entry.group in ('recommendation', 'uncertainty')
 
 
-@leave_processors(1)  # to the thread of the ticks
-def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
-    """Return a recommendation or an aim, or the reason why there is none."""
-    try:
-        best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
-    except (SearchCancelledError, ValueError) as error:
-        return RecommendationState(config=config, reason=str(error))
-    return RecommendationState(config=config, best=best)
-
-
-@leave_processors(1)  # to the thread of the ticks
-def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
-    """Return the uncertainty of a rig's throw, as values of a status."""
-    try:
-        uncertainty = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
-    except ValueError:
-        return {}
-    return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}
-
-
-class LatestOnlyWorker:
+class Recommender:
     """
-    A thread for slow computations; a newer request cancels all earlier ones.
+    A thread that computes recommendations and aims, and calls `publish` with each in this thread.
 
-    `serve` takes a request, and a function that returns whether the request is cancelled. It must
-    not raise an exception. `interval` is the time from the end of a call to the next one, so that
-    a storm of requests costs little [s].
+    A newer request cancels all earlier ones.
     """
 
-    def __init__(
-        self, serve: Callable[[TwinConfig, Callable[[], bool]], None], *, interval: float
-    ) -> None:
-        self._serve = serve
-        self._interval = interval
-        self._request: TwinConfig
+    def __init__(self, publish: Callable[[RecommendationState], None]) -> None:
+        self.request: TwinConfig  # the latest
+        self._publish = publish
         self._is_waiting = threading.Event()
         self._is_closing = threading.Event()
         self._thread = threading.Thread(name='worker', target=self._work, daemon=True)
@@ -134,7 +106,7 @@ class LatestOnlyWorker:
 
     def submit(self, request: TwinConfig) -> None:
         """Replace all earlier requests by this one."""
-        self._request = request
+        self.request = request
         self._is_waiting.set()
 
     def close(self, timeout: float) -> None:
@@ -143,8 +115,24 @@ class LatestOnlyWorker:
         self._is_waiting.set()
         self._thread.join(timeout)
 
+    @leave_processors(1)  # to the thread of the ticks
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            self._serve(self._request, self._is_waiting.is_set)
-            self._is_closing.wait(self._interval)
+            state = recommend_for(self.request, self._is_waiting.is_set)
+            if not self._is_waiting.is_set():
+                self._publish(state)
+            self._is_closing.wait(_INTERVAL)
+
+
+def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
+    """Return a recommendation or an aim, or the reason why there is none."""
+    best, reason = None, ''
+    try:
+        best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
+    except (SearchCancelledError, ValueError) as error:
+        reason = str(error)
+    except Exception as error:  # noqa: BLE001  later requests must still be answered
+        traceback.print_exc()
+        reason = f'the search has failed: {error!r}'
+    return RecommendationState(config=config, best=best, reason=reason)

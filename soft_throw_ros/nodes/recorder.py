@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 import contextlib
 from datetime import datetime
 from functools import partial
-import gc
 import json
+import os
 from pathlib import Path
 import subprocess
-import sys
 import threading
 import time
 from typing import Any
@@ -28,11 +27,10 @@ from rclpy.qos import DurabilityPolicy
 from soft_throw_ros.configuration import ParameterError, RECORDER, Settings
 from soft_throw_ros.configuration.interface import RECORDER_SERVICES, RECORDER_TOPICS
 from soft_throw_ros.nodes.parameters import NodeParameters
-from soft_throw_ros.nodes.process import distribution, run, RunnableNode
+from soft_throw_ros.nodes.process import run, RunnableNode, start_child
 from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import create_service, full_name, Publishers
 from soft_throw_ros.recording.bag_writer import BagWriter
-from soft_throw_ros.recording.child_process import bound_to_parent
 from soft_throw_ros.recording.writer_thread import WriterThread
 from soft_throw_ros.twin.session import RequestRejected
 
@@ -55,7 +53,7 @@ class Recording:
         self._received: list[Counter[bytes]] = []  # by process, of the last seconds
         self._reported: set[str] = set()  # problems
         self.silent_topics: list[str] = []  # of processes that are present
-        self.subscriptions = RawSubscriptions(recorder, self._wanted)
+        self.subscriptions = RawSubscriptions(recorder, lambda t, _: is_wanted(t, self._wanted))
         self.writer = WriterThread(self._open_bag, capacity=settings['buffer'])
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(name='drain', target=self._run, daemon=True)
@@ -159,7 +157,7 @@ class Recording:
         settings = self._settings
         return BagWriter(
             bag_path(settings),
-            distribution=distribution(),
+            distribution=os.environ.get('ROS_DISTRO', ''),
             compression=settings['compression'],
             max_size=settings['split.size'],
             max_duration=settings['split.duration'],
@@ -206,14 +204,13 @@ class Recorder(RunnableNode):
 
     def start(self) -> None:
         """Start recording if the parameter `start` is true."""
-        gc.collect()
-        gc.freeze()
-        if self.parameters.settings['start']:
+        settings = self.parameters.settings
+        if settings['start']:
             self.begin()
         else:
             self._report()
-        if self.parameters.settings['rerun.sink'] != 'none':
-            self._viewer = self._start_viewer(self.parameters.settings)
+        if settings['rerun.sink'] != 'none':
+            self._viewer = self._start_viewer(settings)
         self.get_logger().info('ready')
 
     def close(self) -> None:
@@ -221,7 +218,8 @@ class Recorder(RunnableNode):
         if self._viewer is not None:
             self._viewer.terminate()  # it ends while the bag is finished
         if self.recording is not None:
-            self.end()
+            with contextlib.suppress(RequestRejected):
+                self.end()
         if self._viewer is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._viewer.wait(_VIEWER_TIMEOUT)
@@ -242,47 +240,41 @@ class Recorder(RunnableNode):
         error = self.recording.writer.error
         self.log(error or self._message(), is_error=bool(error))
 
-    def end(self) -> bool:
-        """Finish the recording, and return whether it has failed."""
+    def end(self) -> str:
+        """Finish the recording, and return its summary, or raise RequestRejected with it."""
         recording, self.recording = self.recording, None
         assert recording is not None
         recording.stop()
-        self._has_failed |= recording.has_failed
         self._last = recording.summary()
         self._report()
         self.log(self._last, is_error=recording.has_failed)
-        return recording.has_failed
+        if recording.has_failed:
+            self._has_failed = True
+            raise RequestRejected(self._last)
+        return self._last
 
     def _start_viewer(self, settings: Settings) -> subprocess.Popen[bytes]:
-        """Start a viewer of the same topics, which never outlives this process."""
+        """Start a viewer of the same topics."""
         path = self.recording.bag if self.recording is not None else None
         parameters = {
             'topics': list(settings['topics']),
             'sink': settings['rerun.sink'],
             'file': f'{(path or bag_path(settings)).absolute()}.rrd',
         }
-        rules = [f'{name}:={json.dumps(value)}' for name, value in parameters.items()]
-        command = [sys.executable, '-m', 'soft_throw_ros', 'viewer', '--ros-args']
-        command += ['-r', f'__ns:={self.get_namespace()}']
-        return subprocess.Popen(
-            bound_to_parent([*command, *(word for rule in rules for word in ('-p', rule))]),
-            stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C reaches only the recorder
-        )
+        rules = (f'{name}:={json.dumps(value)}' for name, value in parameters.items())
+        words = (word for rule in rules for word in ('-p', rule))
+        return start_child('viewer', '--ros-args', '-r', f'__ns:={self.get_namespace()}', *words)
 
     def _on_start(self) -> str:
         if self.recording is not None:
-            stop = RECORDER_SERVICES.stop.name
-            raise RequestRejected(f'already {self._message()}; call {stop} first')
+            raise RequestRejected(f'already {self._message()}; call ~/stop first')
         self.begin()
         return self._message()
 
     def _on_stop(self) -> str:
         if self.recording is None:
             raise RequestRejected(f'nothing is being recorded; {self._last}')
-        if self.end():
-            raise RequestRejected(self._last)
-        return self._last
+        return self.end()
 
     def _on_discovery(self) -> None:
         if self.recording is not None:

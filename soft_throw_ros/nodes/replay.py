@@ -14,7 +14,7 @@ import sys
 from typing import Any
 
 from soft_throw_ros.commands.options import number_type, positive
-from soft_throw_ros.commands.output import CommandParser
+from soft_throw_ros.commands.output import CommandParser, print_lines, print_note
 from soft_throw_ros.recording.check import check_bag, CheckError
 from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
 from soft_throw_ros.storage.message import BagError
@@ -40,7 +40,7 @@ def main(args: list[str] | None = None) -> int:
         with BagReader(path) as reader:
             return _check(reader) if is_check else _play(reader, options, of_ros)
     except BagError as error:
-        print(f'replay: {error}', file=sys.stderr)
+        print_note('replay', str(error))
         return 1 if isinstance(error, UnfinishedError) else 2
     except KeyboardInterrupt:
         return 130
@@ -54,23 +54,18 @@ def _parse(arguments: Sequence[str]) -> dict[str, Any]:
         usage='replay [OPTIONS] BAG [--ros-args ...] or replay --check BAG',
         argument_default=argparse.SUPPRESS,
     )
-    parser.add_argument('bag', metavar='BAG', help='folder of the bag, or one of its files')
-    parser.add_argument(
-        '--rate', metavar='R', type=_rate,
-        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)',
-    )
-    parser.add_argument('--topics', metavar='T', nargs='+', help='play only these topics')
-    parser.add_argument('--loop', action='store_true', help='restart after the end')
-    parser.add_argument('--paused', action='store_true', help='start paused; ~/resume plays')
-    parser.add_argument(
-        '--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
+    add = parser.add_argument
+    add('bag', metavar='BAG', help='folder of the bag, or one of its files')
+    add('--rate', metavar='R', type=_rate,
+        help=f'playback speed relative to the recording, at most {_MAX_RATE:g} (default 1)')
+    add('--topics', metavar='T', nargs='+', help='play only these topics')
+    add('--loop', action='store_true', help='restart after the end')
+    add('--paused', action='store_true', help='start paused; ~/resume plays')
+    add('--clock', metavar='HZ', nargs='?', type=positive, const=_CLOCK_RATE,
         help=f'publish the time of the bag on /clock (default {_CLOCK_RATE:g} Hz) '
-        'instead of a recorded /clock',
-    )
-    parser.add_argument(
-        '--check', action='store_true', default=False,
-        help='repeat the run from its journal and compare; exit code 1 if a message differs',
-    )
+        'instead of a recorded /clock')
+    add('--check', action='store_true', default=False,
+        help='repeat the run from its journal and compare; exit code 1 if a message differs')
     options = vars(parser.parse_args(arguments))
     if options['check'] and (others := sorted(options.keys() - {'bag', 'check'})):
         parser.error(f'argument --{others[0]}: not allowed with argument --check')
@@ -89,7 +84,7 @@ def _play(reader: BagReader, options: dict[str, Any], arguments: Sequence[str]) 
         from soft_throw_ros.nodes.player import Player
         from soft_throw_ros.nodes.process import run
     except ModuleNotFoundError as error:
-        print(f'replay: playing needs ROS 2, and --check does not: {error}', file=sys.stderr)
+        print_note('replay', f'playing needs ROS 2, and --check does not: {error}')
         return 1
     # The node has no parameters
     return run('replay', lambda arguments: Player(reader, **options), arguments)  # noqa: ARG005
@@ -100,8 +95,8 @@ def _check(reader: BagReader) -> int:
     for result in results:
         for line in result.describe().splitlines():
             if result.exit_code == 2:
-                print(f'replay: {result.twin}: {line}', file=sys.stderr)
+                print_note('replay', f'{result.twin}: {line}')
             else:
-                print(f'{result.twin}: {line}')
+                print_lines([f'{result.twin}: {line}'])
     codes = {result.exit_code for result in results}
     return 1 if 1 in codes else max(codes)

@@ -15,18 +15,15 @@ from soft_throw_ros.configuration.interface import RIG_TOPICS
 from soft_throw_ros.configuration.motions import PARAMETER as MOTION_FILE
 from soft_throw_ros.configuration.node_tables import RIG, to_twin
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time, throw_text
+from soft_throw_ros.nodes.conversions import msg_to_motion, msg_to_time
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import run
 from soft_throw_ros.nodes.realtime import RealTimeNode
 from soft_throw_ros.nodes.topics import create_subscription, Publishers
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections
 from soft_throw_ros.simulated_rig.sensor_faults import chances_one_by_one, SensorFaults
-from soft_throw_ros.twin.results import Outputs
 from soft_throw_ros.twin.session import RequestRejected, Session
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-_LINE_INTERVAL = 5.0  # shortest time between two log lines about commanded throws [s]
 
 
 class SimulatedRig(RealTimeNode):
@@ -43,7 +40,6 @@ class SimulatedRig(RealTimeNode):
         self._throws = self._start = 0  # number of throws, and step at which the last one began
         self._is_worn = False
         self._commanded: list[JointTrajectoryPoint] = []  # the last motion
-        self._motions = 0  # number of different commanded motions
         self._start_ns: int | None = None  # of the commanded motion, until it has begun
         self.parameters = NodeParameters(
             self,
@@ -65,20 +61,14 @@ class SimulatedRig(RealTimeNode):
     # Tick thread
 
     def on_tick(self, due: int) -> None:
-        """Start the commanded motion if it is due, and advance by one step."""
+        """Start the commanded motion if it is due, advance, and publish what sensors measure."""
         if self._start_ns is not None and due >= self._start_ns:
             self._start_ns = None
             try:
                 self.session.request_throw()
             except RequestRejected as refusal:
                 self.get_logger().warning(f'a commanded motion is not played: {refusal}')
-        self.on_step(self.session.advance(), due)
-
-    def on_step(self, outputs: Outputs, due: int) -> None:
-        """Publish the measurements of the sensors."""
-        for result in outputs.results:
-            if self._motions and result.stage == 'release':
-                self.get_logger().info(throw_text(result), throttle_duration_sec=_LINE_INTERVAL)
+        outputs = self.session.advance()
         if outputs.throw != self._throws:
             self._throws, self._start = outputs.throw, outputs.step
             self._deviations = self._next_deviations
@@ -119,7 +109,7 @@ class SimulatedRig(RealTimeNode):
         self._faults = _faults_of(SensorFaults, settings)
         deviations = self._find_deviations()
         changes = {name: value for name, value in self._played.items() if value != before[name]}
-        if not self._motions:
+        if not self._commanded:
             self.session.change(changes, self.parameters.checked)
             self._next_deviations = deviations  # in effect with the next throw, as the settings
         else:
@@ -141,8 +131,7 @@ class SimulatedRig(RealTimeNode):
             return
         if message.points != self._commanded:
             self._commanded, self._next_deviations = message.points, None
-            self._motions += 1
-            name = f'commanded motion {self._motions}'
+            name = f'commanded motion of {start_ns} ns'
             changes = {'engine.motion': 'file', MOTION_FILE: name, 'throw.period': 0.0}
             self.session.change(changes, motion_of=lambda _path: motion)
             self.session.reset()  # otherwise the first throw would return to rest before it starts

@@ -15,12 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from soft_throw_ros.configuration import interface
 from soft_throw_ros.configuration.interface import FRAME, JOINTS, Service, Topic
-from soft_throw_ros.nodes.conversions import (
-    cloud_to_msg,
-    encode_command,
-    status_to_msg,
-    time_to_msg,
-)
+from soft_throw_ros.nodes import conversions
 from soft_throw_ros.storage.cdr import JointStateEncoder
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -44,11 +39,10 @@ def qos_profile(topic: Topic) -> QoSProfile:
 
 def make_profile(depth: int, *, is_reliable: bool, is_latched: bool) -> QoSProfile:
     """Return a quality of service."""
-    reliability, durability = ReliabilityPolicy, DurabilityPolicy
     return QoSProfile(
         depth=depth,
-        reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
-        durability=durability.TRANSIENT_LOCAL if is_latched else durability.VOLATILE,
+        reliability=ReliabilityPolicy['RELIABLE' if is_reliable else 'BEST_EFFORT'],
+        durability=DurabilityPolicy['TRANSIENT_LOCAL' if is_latched else 'VOLATILE'],
     )
 
 
@@ -84,7 +78,7 @@ class Publishers:
     def __init__(
         self, node: Node, topics: Iterable[Topic], joints: tuple[str, str] = JOINTS
     ) -> None:
-        self.status = partial(status_to_msg, node.get_fully_qualified_name())
+        self.status = partial(conversions.status_to_msg, node.get_fully_qualified_name())
         self.frame = full_name(node, FRAME).lstrip('/')  # of the rig
         self._clock = node.get_clock()
         self._joints = dict(zip(JOINTS, joints, strict=True))
@@ -117,7 +111,7 @@ class Publishers:
         self.send(topic, self._clock.now().nanoseconds, statuses)
 
     def _header(self, stamp_ns: int) -> Header:
-        return Header(stamp=time_to_msg(stamp_ns), frame_id=self.frame)
+        return Header(stamp=conversions.time_to_msg(stamp_ns), frame_id=self.frame)
 
     def _converter(self, topic: Topic) -> Callable[..., Any]:
         """Return the function that converts values into a message, or its bytes."""
@@ -126,7 +120,7 @@ class Publishers:
             encoder = JointStateEncoder(self.frame, names, series=len(topic.quantities))
             return encoder.encode if len(topic.joints) < _MANY else encoder.encode_arrays
         if topic.type == interface.CLOUD:
-            return lambda stamp_ns, points: cloud_to_msg(
+            return lambda stamp_ns, points: conversions.cloud_to_msg(
                 self._header(stamp_ns), topic.axes, points
             )
         if topic.type == interface.ARRAY:
@@ -134,6 +128,7 @@ class Publishers:
                 header=self._header(stamp_ns), status=statuses
             )
         if topic.type == interface.TRAJECTORY:
-            return partial(encode_command, joint=self._joints[JOINTS[0]], frame=self.frame)
+            joint = self._joints[JOINTS[0]]
+            return partial(conversions.encode_command, joint=joint, frame=self.frame)
         message_type = load_type(topic.type)
         return lambda value: message_type(data=value)

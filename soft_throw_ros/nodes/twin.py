@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import math
 import time
-import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,33 +21,18 @@ import numpy as np
 from soft_throw_ros.configuration import Settings, TWIN
 from soft_throw_ros.configuration.interface import TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.configuration.twin import joint_names
-from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.nodes.conversions import (
-    comparison_text,
-    encode_command,
-    throw_result_to_msg,
-    throw_text,
-)
+from soft_throw_ros.nodes import conversions, recommendations
 from soft_throw_ros.nodes.measured import Measurement
 from soft_throw_ros.nodes.parameters import NodeParameters, shown
 from soft_throw_ros.nodes.process import run, STOP_TIMEOUT
 from soft_throw_ros.nodes.realtime import RealTimeNode
-from soft_throw_ros.nodes.recommendations import (
-    affects_recommendation,
-    LatestOnlyWorker,
-    recommend_for,
-    RecommendationState,
-    uncertainty_values,
-)
 from soft_throw_ros.nodes.topics import create_service, Publishers
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResult
 from soft_throw_ros.twin.session import RequestRejected, Session
 
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
-_NAME_WARNING_PERIOD = 10.0  # between two errors about another node of the same name [s]
-_RECOMMENDATION_INTERVAL = 0.3  # between two searches for a layer, to limit their load [s]
 _MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the timing is a warning [-]
 _MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
@@ -58,11 +42,11 @@ class Twin(RealTimeNode):
 
     def __init__(self, *, arguments: Sequence[str] = (), **kwargs: Any) -> None:
         super().__init__('twin', **kwargs)
-        self.recommendation: RecommendationState | None = None  # while it is computed
+        # None while it is computed
+        self.recommendation: recommendations.RecommendationState | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._wake = self.create_guard_condition(self._run_jobs)
         self._throw = 0  # number of the throw of the last result
-        self._uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._last_line_ns = -_LINE_INTERVAL_NS
         self._rig_beyond_range: tuple[Rig, float] | None = None
         self._compared: ThrowResult | None = None  # the last one
@@ -74,15 +58,17 @@ class Twin(RealTimeNode):
         self._joints = joint_names(self.parameters.settings)
         self.outgoing = Publishers(self, TWIN_TOPICS, self._joints)
         self._serialize_command()
-        session = Session(self.parameters.checked, on_entry=self.on_entry)
+        on_entry = partial(self._run_in_executor, self.outgoing.send, TWIN_TOPICS.journal)
+        session = Session(self.parameters.checked, on_entry=on_entry)
         self.measurement = Measurement(
             self, session, self._joints, now=lambda: self._current_clock().now()
         )
         self.add_cleanup(self._run_jobs)  # the last lines of the journal
         self.attach_session(session)
-        self._worker = LatestOnlyWorker(self._recommend, interval=_RECOMMENDATION_INTERVAL)
-        self.add_cleanup(self._worker.close, STOP_TIMEOUT)
-        self._worker.submit(self.parameters.checked.config)
+        publish = partial(self._run_in_executor, self._publish_recommendation)
+        self.recommender = recommendations.Recommender(publish)
+        self.add_cleanup(self.recommender.close, STOP_TIMEOUT)
+        self.recommender.submit(self.parameters.checked.config)
         create_service(self, TWIN_SERVICES.throw, self._on_throw)
         create_service(self, TWIN_SERVICES.reset, self._on_reset)
         create_service(self, TWIN_SERVICES.apply_recommendation, self._on_apply_recommendation)
@@ -117,24 +103,6 @@ class Twin(RealTimeNode):
         self._jobs.append(partial(job, *args))
         self._wake.trigger()
 
-    def on_entry(self, line: str) -> None:
-        """Schedule the publication of a line of the journal."""
-        self._run_in_executor(self.outgoing.send, TWIN_TOPICS.journal, line)
-
-    # Worker thread
-
-    def _recommend(self, config: TwinConfig, cancelled: Callable[[], bool]) -> None:
-        """Publish a recommendation, and compute the uncertainty of the throws of its rig."""
-        publish = partial(self._run_in_executor, self._publish_recommendation)
-        try:
-            recommended = recommend_for(config, cancelled)
-            if not cancelled():
-                publish(recommended)
-                self._uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
-        except Exception as error:  # noqa: BLE001  later requests must still be answered
-            self.get_logger().error(traceback.format_exc())
-            publish(RecommendationState(config=config, reason=f'the search has failed: {error!r}'))
-
     # Executor thread
 
     def _run_jobs(self) -> None:
@@ -160,9 +128,7 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and the numbers of its first release, or NaN."""
         is_first, self._throw = result.throw != self._throw, result.throw
         send = self.outgoing.send
-        rig, uncertainty = self._uncertainty
-        beside = uncertainty if rig == result.rig else {}
-        status = throw_result_to_msg(result, self.get_fully_qualified_name(), beside)
+        status = conversions.throw_result_to_msg(result, self.get_fully_qualified_name())
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
         is_ejection = result.stage == 'release' or (result.stage == 'final' and first is None)
@@ -180,7 +146,7 @@ class Twin(RealTimeNode):
         """Return a warning of an invalid, late or mispredicted throw or a large strain, if any."""
         rig = result.rig, result.max_strain
         if not result.is_valid:
-            return throw_text(result)
+            return conversions.throw_text(result)
         if result.stage == 'predicted' and is_first and (result.lead or 0.0) <= 0.0:
             age = self.measurement.age_ns / SECOND
             is_late = age > self.parameters.settings['measured.smoothing_window'] / 4.0
@@ -193,15 +159,15 @@ class Twin(RealTimeNode):
             )
         if result.stage != 'predicted' and not result.is_linear and rig != self._rig_beyond_range:
             self._rig_beyond_range = rig
-            return throw_text(result)
+            return conversions.throw_text(result)
         if result.stage != 'final' or not result.comparison:
             return ''
         is_good = result.comparison.is_within_threshold
-        return '' if is_good else f'throw {result.throw}: {comparison_text(result)}'
+        return '' if is_good else f'throw {result.throw}: {conversions.comparison_text(result)}'
 
     def _log_throw(self, result: ThrowResult, due: int) -> None:
         """Log a throw; one in ten seconds at level INFO, with a summary since the start."""
-        text = throw_text(result)
+        text = conversions.throw_text(result)
         if due - self._last_line_ns < _LINE_INTERVAL_NS:
             self.get_logger().debug(text)
             return
@@ -211,9 +177,9 @@ class Twin(RealTimeNode):
         self._last_line_ns = due
         self.get_logger().info(text)
 
-    def _publish_recommendation(self, recommended: RecommendationState) -> None:
-        """Publish a recommendation, unless the rig has changed since its request."""
-        if not recommended.is_for(self.parameters.settings):
+    def _publish_recommendation(self, recommended: recommendations.RecommendationState) -> None:
+        """Publish a recommendation, unless another one has been requested since."""
+        if recommended.config is not self.recommender.request:
             return
         self.recommendation = recommended
         self.parameters.set_results(recommended.results())
@@ -224,20 +190,19 @@ class Twin(RealTimeNode):
     def _serialize_command(self) -> None:
         """Serialize the motion of a commanded plate in advance, which is too slow for a tick."""
         config = self.parameters.checked.config
-        if config.command_lead is not None and config.rig.engine.motion is not None:
-            encode_command(0, config.rig.engine.motion, self._joints[0], self.outgoing.frame)
+        motion = config.rig.engine.motion
+        if config.command_lead is not None and motion is not None:
+            conversions.encode_command(0, motion, self._joints[0], self.outgoing.frame)
 
     def _on_changed(self, changes: Settings) -> None:
         self._serialize_command()
         self.session.change(changes, self.parameters.checked)
-        if any(affects_recommendation(name) for name in changes):
+        if any(recommendations.affects_recommendation(name) for name in changes):
             self.recommendation = None
-            self._worker.submit(self.parameters.checked.config)
+            self.recommender.submit(self.parameters.checked.config)
 
     def _on_throw(self) -> str:
-        number = self.session.request_throw()
-        topic = TWIN_TOPICS.throw_result.at(self.get_fully_qualified_name())
-        return f'throw {number}: its result follows on {topic.name}'
+        return f'throw {self.session.request_throw()}: its result follows on ~/throw_result'
 
     def _on_reset(self) -> str:
         self.session.reset()
@@ -259,13 +224,6 @@ class Twin(RealTimeNode):
         self._run_jobs()  # in case a wake-up was lost
         if fault := self.session.diagnose_sensor():
             self.get_logger().warning(fault, once=True)
-        name = self.get_fully_qualified_name()
-        if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
-            self.get_logger().error(
-                f'another node is named {name}, and both publish on the same topics: start one of '
-                'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
-                throttle_duration_sec=_NAME_WARNING_PERIOD,
-            )
         self.outgoing.report(TWIN_TOPICS.diagnostics, self._statuses())
 
     # Diagnostics, once per second (REP 107)
@@ -279,7 +237,16 @@ class Twin(RealTimeNode):
             self.outgoing.status('parameters', text, {'pending': len(pending), **pending}),
         ]
         if self.session.is_measured:
-            statuses += [self.measurement.status(), self._model()]
+            text, values, is_bad = self.measurement.status()
+            statuses.append(self.outgoing.status('measurement', text, values, warn=is_bad))
+        result = self._compared if self.session.is_measured else None
+        if result is not None:
+            assert result.comparison is not None
+            statuses.append(self.outgoing.status(
+                'model', f'throw {result.throw}: {conversions.comparison_text(result)}',
+                {'throw': result.throw, **known_values(result.comparison)},
+                warn=not result.comparison.is_within_threshold,
+            ))
         return statuses
 
     def _timing(self) -> DiagnosticStatus:
@@ -304,18 +271,6 @@ class Twin(RealTimeNode):
             'scheduler': self.ticker.scheduler,
         }
         return self.outgoing.status('timing', text, values, warn=is_bad)
-
-    def _model(self) -> DiagnosticStatus:
-        """Return how well the model predicted the last throw."""
-        result = self._compared
-        if result is None or result.comparison is None:
-            return self.outgoing.status('model', 'no throw has been compared')
-        return self.outgoing.status(
-            'model',
-            f'throw {result.throw}: {comparison_text(result)}',
-            {'throw': result.throw, **known_values(result.comparison)},
-            warn=not result.comparison.is_within_threshold,
-        )
 
 
 main = partial(run, 'twin', Twin)

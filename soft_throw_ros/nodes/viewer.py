@@ -15,7 +15,7 @@ from soft_throw_ros.configuration.interface import VIEWER_DIAGNOSTICS
 from soft_throw_ros.configuration.node_tables import VIEWER
 from soft_throw_ros.nodes.parameters import NodeParameters
 from soft_throw_ros.nodes.process import exit_after, EXIT_TIME, run, RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import RawSubscriptions
+from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
 from soft_throw_ros.recording import rerun_viewer
 
@@ -41,7 +41,9 @@ class Viewer(RunnableNode):
             ) from error
         self._outgoing = Publishers(self, [VIEWER_DIAGNOSTICS])
         wanted = [full_name(self, name) for name in settings['topics']]
-        self.raw_subscriptions = RawSubscriptions(self, wanted, is_accepted=is_drawn)
+        self.raw_subscriptions = RawSubscriptions(
+            self, lambda topic, kind: is_wanted(topic, wanted) and is_drawn(topic, kind)
+        )
         self._stream = rerun_viewer.new_stream('live')
         try:
             if settings['sink'] == 'file':

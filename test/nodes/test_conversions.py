@@ -82,6 +82,6 @@ def test_quality_of_service_is_read_as_any_recorder_writes_it() -> None:
             assert text_to_profiles(written) == [profile]
     for text, count in (
         ('', 0), ('[]', 0), ('[{depth: 3}]', 1), ('[{}, {depth: 1}]', 2), ('{', 0), ('depth', 0),
-        ('[3]', 0), ('[{depth: many}]', 0), ('[{deadline: {sec: 1}}]', 0), ('[' * 1000, 0),
+        ('[3]', 0), ('[{depth: many}]', 0), ('[{deadline: {sec: 1}}]', 1), ('[' * 1000, 0),
     ):
         assert len(text_to_profiles(text)) == count, text

@@ -20,8 +20,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from soft_throw_ros.configuration import ParameterError, rig_of, rig_values
 from soft_throw_ros.configuration.interface import ENERGIES, FRAME, TWIN_SERVICES, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
-from soft_throw_ros.nodes import twin as twin_module
+from soft_throw_ros.nodes import recommendations
 from soft_throw_ros.nodes.conversions import (
     msg_to_throw_result,
     msg_to_time,
@@ -80,7 +79,7 @@ def test_every_tick_and_phase_has_a_message_with_its_stamp(thrown) -> None:
     ]
 
 
-def test_both_results_have_uncertainties_and_the_stamps_of_their_events(thrown, result_keys):
+def test_both_results_have_documented_keys_and_the_stamps_of_their_events(thrown, result_keys):
     messages = thrown.heard[TWIN_TOPICS.throw_result.name]
     statuses = [message.status[0] for message in messages]
     assert [msg_to_throw_result(status) for status in statuses] == thrown.twin.results
@@ -89,9 +88,6 @@ def test_both_results_have_uncertainties_and_the_stamps_of_their_events(thrown, 
     assert (statuses[0].name, statuses[0].hardware_id) == (f'{NAME}: throw', NAME)
     names = result_keys | set(rig_values(Rig()))
     assert all(msg_to_values(status).keys() <= names for status in statuses)
-    values = msg_to_values(statuses[1])
-    expected = prediction_uncertainty(Rig(), Uncertainties(wave_speed=0.6, mass=0.0))
-    assert {name: values[f'uncertainty.{name}'] for name in expected.values()} == expected.values()
     since = release.first.release_ns - release.start_ns
     assert since == pytest.approx(1e9 * release.first.ejection_time, abs=1.5)
     assert [msg_to_time(message.header.stamp) for message in messages] == [
@@ -206,7 +202,7 @@ def test_recommendation_follows_a_change_is_applied_and_holds(
     )
     assert values_to_rig(msg_to_values(status)) == rig_of(before)
     for name, value in twin.recommendation.results().items():
-        assert twin.get_parameter(f'recommended.{name}').value == value
+        assert twin.get_parameter(name).value == pytest.approx(value, nan_ok=True)
     assert listener.trigger(TWIN_SERVICES.apply_recommendation).success
     assert twin.parameters.settings[changed] != before[changed]
     if changed == 'engine.motion_file':
@@ -223,7 +219,7 @@ def test_request_after_an_impossible_or_failed_one_is_answered(twin, listener, m
     twin.settle()
     listener.listen(TWIN_TOPICS.recommendation)
     with monkeypatch.context() as patch:
-        patch.setattr(twin_module, 'recommend_for', lambda *_: 1 / 0)
+        patch.setattr(recommendations, 'solve_request', lambda *_, **__: 1 / 0)
         assert ask(twin, vary='thickness') is None
     assert 'ZeroDivisionError' in twin.recommendation.describe()
     assert ask(twin, objective='aim', target_height=0.2, max_strain=0.12) is None
@@ -261,12 +257,6 @@ def test_steps_follow_a_clock_topic_that_is_chosen_later_and_a_standstill_is_rep
     ]
     counts = twin.ticker.counts
     assert (twin.session.throws, counts['clock_jumps'], counts['ticks_skipped']) == (5, 1, 0)
-
-
-def test_two_twins_of_one_name_are_reported_by_both(ros) -> None:
-    log = ros.listen_to(ros.start_twin()).log()
-    ros.start_twin()
-    ros.spin_until(lambda: sum('another node is named /twin' in x for x in log) > 1, 'both errors')
 
 
 def test_service_with_a_defect_answers_and_a_value_without_type_is_refused(ros, capfd) -> None:
