@@ -44,44 +44,20 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import material, stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import motion_at
+from soft_throw_ros.core.plate_kernels import CAPACITY, motion_at
 from soft_throw_ros.core.rig import Layer, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
-MAX_CELLS = 4096
-"""Most cells of a layer."""
-
-MAX_UPDATE_RATE = 6e7
-"""Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
-
 _UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
 
-_CELLS, _CELLS_PER_RELAXATION, _STEPS_PER_PERIOD = 64, 12.0, 120.0
-"""Cells, cells per relaxation over crossing time, and steps per plate period for 1e-4. [-]"""
-
-_MIN_CELLS_PER_RELAXATION, _MIN_STEPS_PER_PERIOD = 4.0, 80.0
-"""The same for 1e-3, below which a rig is refused in real time. [-]"""
-
-_NEO_HOOKEAN_CELLS, _MAX_BATCH_CELLS = 1.5, 2048
-"""Cells of a neo-Hookean layer over those of a linear one, and most cells, in a batch. [-]"""
-
-_SHOCK_SPEED = 1.055
-"""Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
-
-_ROUNDING = 1e-9
-"""Relative rounding error of a crossing time. [-]"""
-
-_FORCE_NOISE = 1e-11
-"""Rounding of the contact force, over impedance times the plate's peak speed [-]."""
+_NEO_HOOKEAN_CELLS = 1.5
+"""Cells of a neo-Hookean layer over those of a linear one, in a batch. [-]"""
 
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
-
-_MIN_STRETCH = 1.0 - material.LARGEST_STRAIN
-"""Stretch ratio below which a neo-Hookean cell follows its tangent. [-]"""
 
 _static_stretch = subroutine(material.static_stretch)
 
@@ -124,8 +100,6 @@ class Row(NamedTuple):
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-_ROW_COUNT = 32
-
 RECORD = np.dtype(
     [
         # constants
@@ -163,7 +137,7 @@ RECORD = np.dtype(
 @inlined
 def _neo_hookean_stress(ratio):
     """Compute the stress of a stretch ratio over E / 3."""
-    inverse = 1.0 / max(ratio, _MIN_STRETCH)
+    inverse = 1.0 / max(ratio, 1.0 - material.LARGEST_STRAIN)
     share = ratio * inverse
     return ratio - inverse * inverse * (3.0 - (share + share))
 
@@ -264,7 +238,7 @@ def _prepare(
     """Complete the third record but for the plate's motion, and cut the sheets."""
     s = core[2]
     s.step, s.mass, s.gravity = step, mass, gravity
-    s.release_threshold = -_FORCE_NOISE * peak_force
+    s.release_threshold = -stepper.FORCE_NOISE * peak_force
     s.event_time = s.fastest_shock = math.inf
     s.contact = True
     for element in range(3):
@@ -488,14 +462,14 @@ def _advance(core, nodes, path, events, time):
     if goal * step < time:
         goal += 1
     if goal * step > grid.horizon:
-        return stepper.BEYOND_HORIZON
+        return -1
     _march(grid, nodes, path, events, goal)
     for j in range(grid.cells):  # the loads have those of both ends
         grid.loads[0] = max(grid.loads[0], nodes[ROW.peak_strain, j])
     piece = s.piece
     core[1] = core[0]
     if grid.events > events.shape[0]:
-        return stepper.TOO_MANY_EVENTS
+        return grid.events
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
     s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
@@ -553,7 +527,7 @@ def _read_layer(core, nodes, points, out):
 @subroutine
 def _elastic_energy(ratio):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
-    x = max(ratio, _MIN_STRETCH)
+    x = max(ratio, 1.0 - material.LARGEST_STRAIN)
     beyond, slope = ratio - x, 1.0 + 2.0 / x**3
     return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
 
@@ -636,11 +610,13 @@ def _cut_layers(
         lag = losses / np.reshape(scales.engine.angular_frequency, (-1, 1))
     is_curved = layer.stress_strain_law == 'neo_hookean'
     # The fastest wave is that of the largest stiffness of any state
-    steepest = (1.0 + 2.0 / _MIN_STRETCH**3) / 3.0 if is_curved else 1.0
+    steepest = (1.0 + 2.0 / (1.0 - material.LARGEST_STRAIN) ** 3) / 3.0 if is_curved else 1.0
     tangent = relaxed * steepest + maxwell.sum(axis=0)
-    crossing = crossing / (np.sqrt(tangent) * (_SHOCK_SPEED if is_curved else 1.0))
+    crossing = crossing / np.sqrt(tangent)
+    if is_curved:  # the explicit artificial viscosity makes the stable step shorter
+        crossing *= math.sqrt(1.0 - 2.0 * _FASTEST)
     steps = crossing.sum(axis=1, keepdims=True) / np.reshape(cells, (-1, 1))
-    crossed = crossing / steps * (1.0 + _ROUNDING)
+    crossed = crossing / steps * (1.0 + math.sqrt(np.finfo(float).eps))
     counts = np.maximum(1, crossed.astype(np.int64))
     mass, spring, inverse = mass / counts, stiffness * counts, counts / thickness
     # Newmark's parameter is 1/4 (average acceleration) where a wave is faster than the step
@@ -653,23 +629,10 @@ def _cut_layers(
     return steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1)
 
 
-def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
-    """Return the numbers of cells that errors of 1e-4 need."""
-    needed = np.maximum(_CELLS_PER_RELAXATION / mass_ratio, _STEPS_PER_PERIOD / speed_ratio)
-    return np.ceil(np.maximum(needed, _CELLS))
-
-
 def _cells_in_real_time(rig: Rig) -> int:
-    """Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3."""
-    rate = 1.0 / float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])  # with one cell
-    updates, unit = _CELLS**2 * rate, 'cell updates per second'
-    stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
-    limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
-    for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
-    stepper.require_feasible(rig, 'projectile.mass', for_mass, limit, 'cells')
-    for_plate = math.ceil(_MIN_STEPS_PER_PERIOD / rig.speed_ratio)
-    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, 'cells')
-    return int(min(_needed_cells(rig.mass_ratio, rig.speed_ratio), limit))
+    """Choose the number of cells, see `stepper.cells_in_real_time`."""
+    step = float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])  # with one cell
+    return stepper.cells_in_real_time(rig, _UPDATE_COST / step, 2)
 
 
 def throw_batch(
@@ -678,22 +641,21 @@ def throw_batch(
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    Arguments are as of `_cut_layers`, with 8 to `MAX_CELLS` cells, or by default so many as errors
+    Arguments are as of `_cut_layers`, with 8 to `CAPACITY` cells, or by default so many as errors
     of 1e-4 need; the result is that of `stepper.follow_batch`.
     """
     if cells is not None:
-        stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
+        stepper.require_count('cells', cells, low=8, high=CAPACITY)
     scales = scales_of(values)
     finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
-    needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
-    cells = cells or np.minimum(needed, _MAX_BATCH_CELLS)
+    cells = cells or np.minimum(np.ceil(finer * stepper.needed_cells(scales)), CAPACITY)
     steps, counts, _, sheets = _cut_layers(values, layer, cells)
     omega = scales.engine.angular_frequency
     peak_force = values['amplitude'] * omega * scales.layer.impedance
     columns = counts, sheets, steps, values['mass'], values['gravity'], omega, peak_force
 
     def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        nodes = np.zeros((_ROW_COUNT, counts[n].sum() + 2))
+        nodes = np.zeros((ROW.force + 1, counts[n].sum() + 2))
         _prepare(core, nodes, *(column[n] for column in columns))
         return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
 
@@ -707,7 +669,7 @@ class CellStepper(Stepper):
     A throw by cells; the layer may be a stack, and have loss.
 
     `stored_energy` is that of now, at any time. Arguments are as for `throw.make_stepper`; the
-    layer has about so many cells, from 1 to `MAX_CELLS`.
+    layer has about so many cells, from 1 to `CAPACITY`.
     """
 
     def __init__(
@@ -715,9 +677,9 @@ class CellStepper(Stepper):
         field_points: int = 64,
     ) -> None:
         cells = _cells_in_real_time(rig) if cells is None else cells
-        stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
+        stepper.require_count('cells', cells, low=1, high=CAPACITY)
         (step,), (counts,), (lengths,), (sheets,) = _cut_layers(values_of(rig), rig.layer, cells)
-        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, counts.sum() + 2))
+        core, nodes = np.zeros(3, RECORD), np.zeros((ROW.force + 1, counts.sum() + 2))
         self.step, self.cost = float(step), _UPDATE_COST * nodes.shape[1] / step
         _prepare(
             core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,

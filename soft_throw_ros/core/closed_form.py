@@ -68,9 +68,6 @@ _ROUNDING = 2e-6
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
 
-_INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
-"""Reciprocals of 1, 1, 2, 3 ..."""
-
 
 class FirstRelease(NamedTuple):
     r"""
@@ -265,7 +262,7 @@ def _find(wave, c, b):
         if steady.real**2 + steady.imag**2 > _GROWTH_LIMIT**2 or underflows:
             break
         older = (k - 1) * b[max(k - 2, 0)]
-        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * _INVERSE[k]
+        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * (1.0 / k)
         s_before, s_now = s_now, s_next
         c[k] = s_now - s_before - 2.0 * (power * wave.inverse).imag
         s_next = c[k] * b[0]
@@ -315,7 +312,7 @@ def _attached(k, sigma, wave, steady, c):
     force, slope, upward = (newer + older) * phi, (newer + older) * dphi, older * phi
     for j in range(1, k + 1):
         newer, older = older, c[k - j - 1] if j < k else 0.0
-        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
+        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * (1.0 / j)  # faster
         dphi -= phi + following
         before, phi = phi, following
         force += (newer + older) * phi

@@ -20,8 +20,11 @@ from soft_throw_ros.core.rig import Engine
 
 Floats = NDArray[np.float64]
 
-MAX_PIECES_AHEAD = 4096
-"""Most states of a measured plate that can be known ahead of the stepper."""
+CAPACITY = 4096
+"""
+Most entries of each table of a stepper, whose memory does not grow: cells of a layer, steps of a
+crossing, events of a throw, states of a measured plate ahead of the stepper. [-]
+"""
 
 _PIECES_PER_PERIOD = 32.0
 """Pieces in a period of a damped step, whose speeds err by 1e-8 of the largest. [-]"""
@@ -64,7 +67,7 @@ def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -
     record['pieces'] = 1
     record['last'][0] = -math.inf
     if motion is None or is_measured:
-        return np.zeros((7, MAX_PIECES_AHEAD + 2))  # one more to extrapolate with
+        return np.zeros((7, CAPACITY + 2))  # one more to extrapolate with
     record['horizon'] = math.inf
     path = np.zeros((7, motion.times.size + 1))
     pieces = append_states(record['last'], 1, path, motion.times, motion.states)

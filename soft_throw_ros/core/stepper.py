@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import plate_kernels
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
 from soft_throw_ros.core.kernels import Record, subroutine
+from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.rig import Rig
 
 Floats = NDArray[np.float64]
@@ -31,8 +32,17 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 _EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
 
-MAX_EVENTS = 4096
-"""Most events of one throw."""
+MAX_COST = 0.24
+"""Largest `Stepper.cost` of a twin, which has other work to do as well. [-]"""
+
+FEWEST, PER_RELAXATION, PER_PERIOD = 64, 12.0, 120.0
+"""
+Cells of a layer, and per relaxation time and plate period, for errors of 1e-4; of second order,
+so that a third is enough for 1e-3. [-]
+"""
+
+FORCE_NOISE = 1e-11
+"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
 _SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
@@ -52,12 +62,8 @@ COMMON = [
 ]
 """Fields of the records of all steppers, for `numpy.dtype`."""
 
-BAD_TIME, BEYOND_HORIZON, TOO_MANY_EVENTS = -1, -2, -3
-"""Error codes that a kernel returns instead of the number of events."""
-
-
 class EventLimitError(ThrowUnresolvedError):
-    """More than `MAX_EVENTS` events in one throw."""
+    """More than `CAPACITY` events in one throw."""
 
 
 class Event(NamedTuple):
@@ -115,7 +121,7 @@ class Stepper:
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
         self._kernels, self._reading = kernels, reading
         self._layer_at_rest = layer
-        self._events = np.zeros((MAX_EVENTS, 4))  # rows of kind, time, position, velocity
+        self._events = np.zeros((CAPACITY, 4))  # rows of kind, time, position, velocity
         self._path = plate_kernels.write_motion(core, rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
         self._bind(core, layer.copy())
@@ -149,11 +155,11 @@ class Stepper:
         events on the way, and only `reset` helps.
         """
         count: int = self._advance(time)
-        if count == BEYOND_HORIZON:
-            raise ValueError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
-        if count == TOO_MANY_EVENTS:
-            raise EventLimitError(f'more than {MAX_EVENTS} events before {time:g} s')
-        if count == BAD_TIME:
+        if count > CAPACITY:
+            raise EventLimitError(f'more than {CAPACITY} events before {time:g} s')
+        if count < 0:
+            if time > self.horizon:
+                raise ValueError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
             raise ValueError(
                 f'time must be finite and must not go backwards, got {time!r} s after '
                 f'{float(self.state[TIME])!r} s'
@@ -201,10 +207,10 @@ class Stepper:
                 f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
-        if ahead > plate_kernels.MAX_PIECES_AHEAD:
+        if ahead > CAPACITY:
             raise ValueError(
-                f'states must not be more than {plate_kernels.MAX_PIECES_AHEAD} ahead of '
-                f'advance_to, got {times.size} which makes {ahead}'
+                f'states must not be more than {CAPACITY} ahead of advance_to, '
+                f'got {times.size} which makes {ahead}'
             )
         self._append(times, states)
         self._core['piece_end'][0] = -math.inf  # the present piece may end now
@@ -343,9 +349,9 @@ def note_event(s: Record, events: Floats, time: float, height: float, velocity: 
 
 @subroutine
 def steps_until(s: Record, step: float, time: float) -> int:
-    """Return the number of whole steps until a time, or an error code."""
-    if not s.state[TIME] <= time < 4e15 * step:
-        return BAD_TIME
+    """Return the number of whole steps until a time, or -1 if there is no way there."""
+    if not s.state[TIME] <= time < 4e15 * step or time > s.horizon:
+        return -1
     steps = int(time / step)  # to one step
     return steps + int((steps + 1) * step <= time) - int(steps * step > time)
 
@@ -366,6 +372,28 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     if not low <= value <= high:
         raise ValueError(f'{name} must be from {low} to {high}, got {value}')
     return int(value)
+
+
+def needed_cells(rig: Any) -> Any:
+    """Return the cells of a layer, or of many, that errors of 1e-4 need."""
+    needed = np.maximum(PER_RELAXATION / rig.mass_ratio, PER_PERIOD / rig.speed_ratio)
+    return np.ceil(np.maximum(needed, FEWEST))
+
+
+def cells_in_real_time(rig: Rig, cost: float, order: int, *, fewest: int = FEWEST) -> int:
+    """
+    Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3.
+
+    `cost` is that of one cell, see `Stepper.cost`; many cost this times a power of their number.
+    """
+    require_feasible(rig, 'layer.thickness', cost * FEWEST**order, MAX_COST, 'of a processor')
+    limit = min(CAPACITY, math.floor((MAX_COST / cost) ** (1.0 / order)))
+    for name, needed in (
+        ('projectile.mass', PER_RELAXATION / rig.mass_ratio),
+        ('engine.frequency', PER_PERIOD / rig.speed_ratio),
+    ):
+        require_feasible(rig, name, math.ceil(needed / 3.0), limit, 'cells')
+    return int(min(max(needed_cells(rig), fewest), limit))
 
 
 def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str) -> None:

@@ -20,11 +20,11 @@ from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 
 Floats = NDArray[np.float64]
 
-_LONGEST, _BUDGET = 60.0, 0.5
-"""Times of a rig and of a processor after which a throw ends that `until` does not end. [s]"""
+_BUDGET = 0.5
+"""Time of a processor after which a throw ends that `until` does not end. [s]"""
 
-_QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
-"""Crossings plus periods after a release that show how far up the free top swings."""
+_QUIET_PERIODS = 2.0
+"""Periods of the plate and of the bare layer that show how far up the free top swings. [-]"""
 
 _LOSSLESS_CELLS, _SETTLED = (256, 512, 1024, 2048), 1e-4
 """
@@ -227,9 +227,8 @@ def simulate(
 def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
-    affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
-    latest = min(_LONGEST, affordable) if until is None else until
-    quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
+    latest = until or max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
+    quiet = _QUIET_PERIODS * (4.0 * rig.crossing_time + 1.0 / rig.engine.frequency)
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
     low = high = rig.rest_height
     time, event_count = 0.0, 0

@@ -47,43 +47,23 @@ from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import enter_piece, motion_at
+from soft_throw_ros.core.plate_kernels import CAPACITY, enter_piece, motion_at
 from soft_throw_ros.core.rig import Rig, scales_of
 from soft_throw_ros.core.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
-MAX_STEPS = 8192
-"""Most steps per crossing of the wave."""
-
-MAX_STEP_RATE = 4e7
-"""Most steps per second of rig time; a processor computes 4e8 steps per second. [1/s]"""
-
-_STEPS, _FEWEST_STEPS = 512, 64
-"""Steps per crossing for 1e-3 at later events, and fewest for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_PERIOD, _STEPS_PER_RELAXATION = 160.0, 8.0
-"""Fewest steps per period of the plate and per relaxation time, for the first release. [-]"""
+_STEPS = 512
+"""Fewest steps per crossing of the wave for 1e-3 at later events. [-]"""
 
 _STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
 
-_PAD = 8
-"""Steps that are kept beyond those that are read, for the cubics. [-]"""
-
 _SPARE_STEPS = 1000
 """Spare steps in memory, so that waves are rarely moved; 1024 make copies 10 times as slow. [-]"""
 
-_STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
-"""Fewest strains compared in a crossing, longest phase [rad] and time over tau in between. [-]"""
-
-_NOISE = 1e-12
-"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
-
 _COUNTS = np.arange(1024.0)
 """Whole numbers, which are slow to convert. [-]"""
-
-_RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
 # The first record is the state at a grid point, the second that between two grid points. Lengths
 # count from the static equilibrium, offsets are in steps.
@@ -139,9 +119,9 @@ def _moments(x):
     if x < 1.0:
         series = 1.0
         for n in range(19, 4, -1):
-            series = 1.0 - x * _RECIPROCAL[n] * series
+            series = 1.0 - x / n * series
         third = 0.25 * series
-        second = (1.0 - x * third) * _RECIPROCAL[3]
+        second = (1.0 - x * third) / 3.0
         first = (1.0 - x * second) * 0.5
         zeroth = 1.0 - x * first
         return 1.0 - x * zeroth, zeroth, first, second, third
@@ -155,13 +135,15 @@ def _moments(x):
 def _constants_of(rig: Any) -> tuple[Any, ...]:
     """Return the last arguments of `_prepare`, floats or arrays."""
     return (
-        rig.layer.thickness, rig.crossing_time, rig.relaxation_time, rig.gravity,
-        rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
+        # strains to compare in a crossing, for the largest to 1e-3
+        np.maximum(0.5 * stepper.needed_cells(rig), stepper.PER_PERIOD / rig.speed_ratio),
+        rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
+        rig.gravity, rig.layer.impedance, rig.engine.speed_scale,
     )
 
 
 @kernel
-def _prepare(core, N, thickness, crossing, relaxation, gravity, impedance, omega, speed):
+def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedance, speed):
     """Complete the third record, which has the plate's motion already."""
     s = core[2]
     s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
@@ -178,12 +160,11 @@ def _prepare(core, N, thickness, crossing, relaxation, gravity, impedance, omega
     s.relaxation, s.gravity = relaxation, gravity
     s.rest_height = thickness - gravity * relaxation * crossing  # sag m g L / (E S)
     s.gravity_offset = gravity * relaxation
-    s.release_threshold = -s.gravity_offset - _NOISE * speed
-    s.base = -2 * N - _PAD
+    s.release_threshold = -s.gravity_offset - stepper.FORCE_NOISE * speed
+    s.base = -2 * N
     s.contact, s.kink = True, N
-    longest = min(N / _STRAINS_PER_CROSSING, _STRAIN_FADING * relaxation / s.step)
     # A divisor of N, so that kinks, where strains are largest, are at points that are compared
-    s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
+    s.stride = max(1, int(N / strains))
     while N % s.stride > 0:
         s.stride -= 1
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
@@ -203,7 +184,7 @@ def _expand(s, waves):
     aside = 1 if s.cell == s.kink else (-1 if s.cell + 1 == s.kink else 0)
     i = s.cell - s.base - s.steps + aside
     behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
-    e = _RECIPROCAL[6] * (beyond - behind + 3.0 * (here - ahead))
+    e = (beyond - behind + 3.0 * (here - ahead)) / 6.0
     c = 0.5 * (behind + ahead) - here
     b = ahead - here - c - e
     return _shift(-float(aside), here, b, c, e)
@@ -393,7 +374,7 @@ def _march(s, waves, path, events, goal):
             s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                shift = s.cell - s.base - _PAD - s.steps
+                shift = s.cell - 2 - s.steps - s.base  # the cubic before a kink begins 2 earlier
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
@@ -427,8 +408,6 @@ def _advance(core, waves, path, events, time):
     goal = stepper.steps_until(s, step, time)
     if goal < 0:
         return goal
-    if time > grid.horizon:
-        return stepper.BEYOND_HORIZON
     _march(grid, waves, path, events, goal)
     core[1] = core[0]
     if s.events <= events.shape[0]:
@@ -441,7 +420,7 @@ def _advance(core, waves, path, events, time):
     s.loads[0] = max(strain, stress, force + s.gravity_offset) / wave_speed
     s.loads[1], s.loads[2] = force / s.relaxation, stress * s.impedance
     if s.events > events.shape[0]:
-        return stepper.TOO_MANY_EVENTS
+        return s.events
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
     height, speed, _ = motion_at(s, path, time)
@@ -501,19 +480,6 @@ _advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64
 _read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
 
 
-def _default_steps(rig: Rig) -> int:
-    """Choose the steps per crossing in real time, or refuse the rig with a feasible value."""
-    slowest = _FEWEST_STEPS / rig.crossing_time
-    stepper.require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
-    limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
-    for_plate = math.ceil(_STEPS_PER_PERIOD / rig.speed_ratio)
-    unit = 'steps per crossing of the wave'
-    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, unit)
-    for_mass = math.ceil(_STEPS_PER_RELAXATION / rig.mass_ratio)
-    steps = min(max(_STEPS, for_mass, for_plate), limit)
-    return steps - steps % 32
-
-
 class WaveStepper(Stepper):
     r"""
     A throw by travelling waves: a rigid projectile on a lossless layer of one material.
@@ -523,8 +489,8 @@ class WaveStepper(Stepper):
     rig, is_measured, field_points
         As for `throw.make_stepper`.
     steps : int, optional
-        Per crossing of the wave, 16 to `MAX_STEPS`; by default 512, or more where the relaxation
-        time or the plate's period is short, but at most `MAX_STEP_RATE` in a second. The default
+        Per crossing of the wave, 16 to `CAPACITY`; by default 512, or more where the relaxation
+        time or the plate's period is short, but not beyond `stepper.MAX_COST`. The default
         has errors of 1e-6 at the first release, and 1e-3 at the next four events of 95 % of rigs,
         in :math:`t f` and :math:`V / (A \omega)`.
 
@@ -553,9 +519,12 @@ class WaveStepper(Stepper):
                 'travelling waves need a layer of one material, linear and without loss, '
                 f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
             )
-        steps = _default_steps(rig) if steps is None else steps
-        self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
-        self.cost = _STEP_COST * self.steps / rig.crossing_time
+        cost = _STEP_COST / rig.crossing_time
+        if steps is None:
+            steps = stepper.cells_in_real_time(rig, cost, 1, fewest=_STEPS)
+            steps -= steps % 32
+        self.steps = stepper.require_count('steps', steps, low=16, high=CAPACITY)
+        self.cost = cost * self.steps
         core = np.zeros(3, RECORD)
         _prepare(core, self.steps, *_constants_of(rig))
         super().__init__(
@@ -576,10 +545,7 @@ def throw_batch(
     Errors in loads and work: 1e-3 for 95 % of rigs.
     """
     rigs = scales_of(values)
-    steps = np.maximum(
-        _STEPS_PER_RELAXATION / rigs.mass_ratio, _STEPS_PER_PERIOD / rigs.speed_ratio
-    )
-    steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
+    steps = 32 * np.ceil(np.minimum(stepper.needed_cells(rigs), _STEPS) / 32.0).astype(np.int64)
     columns = steps, *_constants_of(rigs)
     step, advance = rigs.crossing_time / steps, _advance_compiled()
 

@@ -16,7 +16,7 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
+from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import PlateObserver
@@ -258,7 +258,7 @@ class MeasuredThrow(OngoingThrow):
         config, (times, states), start_ns = self._prepared.config, self._settled, self.start_ns
 
         def throw_field() -> ThrowField:
-            stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
+            stepper, shown = stepper_of(config), slice(CAPACITY)
             stepper.append_plate_states(times[shown], states[shown])
             return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
 

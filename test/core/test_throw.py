@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from reference.cases import FREQUENCY, make_rig
 from soft_throw_ros.core import batch, simulate, throw_many
-from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
+from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.stepper import Event, PROJECTILE_FORCE, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import ejections, HELD, REFUSED, RELEASED, rig_with
@@ -89,7 +90,7 @@ def test_throw_without_a_release_raises_an_error():
         (simulate, Rig(), 'until', -1.0), (simulate, Rig(), 'cells', 64),
         (throw_many, LOSSY, 'threads', 0), (throw_many, LOSSY, 'threads', 1.5),
         (throw_many, LOSSY, 'cells', 7),
-        (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', MAX_CELLS + 1),
+        (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', CAPACITY + 1),
         (CellStepper, Rig(), 'cells', 64.0),
     ],
 )
