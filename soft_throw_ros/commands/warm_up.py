@@ -17,32 +17,35 @@ from pathlib import Path
 import signal
 import sys
 import time
-from types import ModuleType
 
+import numpy as np
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
+from soft_throw_ros.core import stepper
 from soft_throw_ros.design.recommendation import solve_request
 from soft_throw_ros.twin import plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
-    *Path(str(wave_stepper.__file__)).parent.glob('*.py'),
+    *Path(str(stepper.__file__)).parent.glob('*.py'),
     *Path(str(plate_observer.__file__)).parent.glob('*.py'),
 )
 
 
-def _step(stepper: ModuleType, loss_tangent: float) -> None:
+def _step(loss_tangent: float) -> None:
     """Run the kernels of a stepper once, with a plate driven by the engine and a measured one."""
-    prepare({**TWIN.defaults(), 'layer.loss_tangent': loss_tangent})
-    stepper.warm_up()
+    settings = {**TWIN.defaults(), 'layer.loss_tangent': loss_tangent}
+    prepare(settings)
+    measured = prepare({**settings, 'engine.motion': 'measured'})
+    if measured.fork:
+        measured.fork.sync_from(measured.stepper, np.empty(0), np.empty((0, 3)))
 
 
 PARTS: dict[str, Callable[[], object]] = {
-    'travelling_wave': lambda: _step(wave_stepper, 0.0),
+    'travelling_wave': lambda: _step(0.0),
     'design': lambda: solve_request(TWIN.defaults()),
     'measured': lambda: [module.warm_up() for module in (sample_buffer, plate_observer)],
-    'cells': lambda: _step(cell_stepper, 0.1),
+    'cells': lambda: _step(0.1),
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""
 
@@ -104,6 +107,6 @@ def _mark(part: str) -> Path:
 
     It has the suffix of numba's index files, so that clearing the cache deletes it as well.
     """
-    folder = Path(str(plate_kernels.write_damped.stats.cache_path))
+    folder = Path(str(stepper.write_damped.stats.cache_path))
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f'{part}.{sys.implementation.cache_tag}.nbi'

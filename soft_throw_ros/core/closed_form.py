@@ -47,14 +47,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import run_batches
-from soft_throw_ros.core.kernels import inlined, kernel, subroutine
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import MAX_PERIODS
-
-Floats = NDArray[np.float64]
 
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
@@ -134,14 +132,15 @@ def first_releases(
         checks.require_all('damping_ratio', damping_ratio, 'in_unit_interval'),
         checks.require_all('gravity_ratio', gravity_ratio, 'not_negative'),
     )
-    ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
-    phase, speed = np.empty((2, ratios.shape[1]))
+    ratios = np.stack(arrays).reshape(len(arrays), -1)
+    results = np.empty((2, *arrays[0].shape))
+    columns = results.reshape(2, -1)
     run_batches(
-        lambda batch: _release_series(ratios, phase, speed, batch[0], batch.size),
-        np.arange(phase.size), size=2048, threads=threads,
+        lambda batch: release_series(ratios, columns, batch[0], batch.size),
+        np.arange(ratios.shape[1]), size=2048, threads=threads,
     )
-    energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
-    return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
+    phase, speed = results
+    return FirstRelease(phase, speed, (speed / peak_velocity_ratio(arrays[2])) ** 2)
 
 
 def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
@@ -177,16 +176,16 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
 
 
 @kernel
-def _release_series(ratios, phase, speed, first, count):
-    """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
+def release_series(ratios: Floats, results: Floats, first: int, count: int) -> None:
+    """Compute some throws from number `first` on, unchecked, from rows of ratios."""
     c, b = np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
     for n in range(first, first + count):
         wave = _wave(ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n])
         k, low, high, guess, steady = _find(wave, c, b)
-        phase[n] = speed[n] = math.nan
+        results[0, n] = results[1, n] = math.nan
         if high > 0.0:
             sigma = guess if low < guess < high else 0.5 * (low + high)
-            phase[n], speed[n] = _polish(k, low, high, sigma, wave, steady, c)
+            results[0, n], results[1, n] = _polish(k, low, high, sigma, wave, steady, c)
 
 
 class _Wave(NamedTuple):

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, run_batches, ThrowUnresolvedError
+from soft_throw_ros.core.kernels import Floats
 from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
 from soft_throw_ros.core.rig import RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
-
-Floats = NDArray[np.float64]
 
 _BUDGET = 0.5
 """Time of a processor after which a throw ends that `until` does not end. [s]"""
@@ -46,23 +45,19 @@ def apex_height(ejection: Event, gravity: float) -> float:
     return ejection.position + max(ejection.velocity, 0.0) ** 2 / (2.0 * gravity)
 
 
-def make_stepper(
-    rig: Rig, *, is_measured: bool = False, cells: int | None = None, field_points: int = 64
-) -> Stepper:
+def make_stepper(rig: Rig, *, cells: int | None = None, **options: Any) -> Stepper:
     """
     Make a stepper: cells if the layer needs them, otherwise travelling waves.
 
-    The plate of a measured one moves by `append_plate_states`, and not by the rig's engine; the
-    layer is read at `field_points` heights. ThrowUnresolvedError if the rig cannot be stepped in
-    real time, ValueError if an option is out of range.
+    With the option `is_measured` the plate moves by `append_plate_states`, and not by the rig's
+    engine; the layer is read at `field_points` heights, by default 64. ThrowUnresolvedError if the
+    rig cannot be stepped in real time, ValueError if an option is out of range.
     """
     if rig.layer.needs_cells:
-        return cell_stepper.CellStepper(
-            rig, is_measured=is_measured, cells=cells, field_points=field_points
-        )
+        return cell_stepper.CellStepper(rig, cells=cells, **options)
     if cells is not None:
         raise ValueError(f'cells are for layers that need them only, got {cells!r}')
-    return wave_stepper.WaveStepper(rig, is_measured=is_measured, field_points=field_points)
+    return wave_stepper.WaveStepper(rig, **options)
 
 
 def _make_settled_stepper(
@@ -206,14 +201,10 @@ def simulate(
     events = tuple(stepper.events())
     if not events:
         largest = rig.engine.speed_scale * rig.engine.angular_frequency
+        end, remedy = stepper.state[TIME], 'follow it for longer'
         if rig.engine.motion is None and largest < rig.gravity:
-            raise ThrowUnresolvedError(
-                f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity, "
-                f'{rig.gravity:g} m/s2, and the projectile stays on the layer'
-            )
-        raise ThrowUnresolvedError(
-            f'the projectile is not released by {stepper.state[TIME]:g} s; follow it for longer'
-        )
+            remedy = f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity"
+        raise ThrowUnresolvedError(f'the projectile is not released by {end:g} s; {remedy}')
     stepper.reset()
     stepper.advance_to(events[0].time)
     work, stored = stepper.plate_work, stepper.stored_energy()
@@ -344,24 +335,19 @@ def throw_many(
         return {name: column[batch] for name, column in values.items()}
 
     def by_closed_form(batch: NDArray[np.int64]) -> None:
-        own = selected(batch)
-        scales = scales_of(own)
-        phase, speed, _ = closed_form.first_releases(
-            mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio, threads=1,
-            damping_ratio=own['damping_ratio'], gravity_ratio=scales.gravity_ratio,
-        )
-        results[0, batch] = phase / own['frequency']
-        results[1, batch] = speed * own['amplitude'] * scales.engine.angular_frequency
+        rigs, own = scales_of(selected(batch)), np.empty((2, batch.size))
+        zeta = rigs.engine.damping_ratio
+        ratios = np.stack((rigs.mass_ratio, rigs.speed_ratio, zeta, rigs.gravity_ratio))
+        closed_form.release_series(ratios, own, 0, batch.size)
+        results[0, batch] = own[0] / rigs.engine.frequency
+        results[1, batch] = own[1] * rigs.engine.amplitude * rigs.engine.angular_frequency
         if loads:
-            known = batch[~np.isnan(phase)]
-            results[2:, known] = wave_stepper.throw_batch(
-                selected(known), until=results[0, known], cancelled=cancelled
-            )[2:]
+            known = batch[~np.isnan(own[0])]
+            waves = wave_stepper.throw_batch(selected(known), results[0, known], cancelled)
+            results[2:, known] = waves[2:]
 
     def by_cells(batch: NDArray[np.int64]) -> None:
-        results[:, batch] = cell_stepper.throw_batch(
-            selected(batch), rig.layer, cells=cells, cancelled=cancelled
-        )
+        results[:, batch] = cell_stepper.throw_batch(selected(batch), rig.layer, cells, cancelled)
 
     def by_steppers(batch: NDArray[np.int64]) -> None:
         for n in batch.tolist():

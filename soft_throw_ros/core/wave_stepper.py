@@ -37,21 +37,17 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import CAPACITY, enter_piece, motion_at
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, stepper_kernels, subroutine
 from soft_throw_ros.core.rig import Rig, scales_of
-from soft_throw_ros.core.stepper import Stepper
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.core.stepper import CAPACITY, enter_piece, motion_at, Stepper
 
 _STEPS = 512
 """Fewest steps per crossing of the wave for 1e-3 at later events. [-]"""
@@ -105,8 +101,8 @@ RECORD = np.dtype(
         ('power_sum', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
         # at `time`
-        ('upward', 'f8', (2,)),  # p at plate and top
-        ('downward', 'f8', (2,)),  # m at plate and top
+        ('upward', 'f8'),  # p at the plate
+        ('downward', 'f8'),  # m at the top
     ],
     align=True,
 )
@@ -132,16 +128,6 @@ def _moments(x):
     return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
 
 
-def _constants_of(rig: Any) -> tuple[Any, ...]:
-    """Return the last arguments of `_prepare`, floats or arrays."""
-    return (
-        # strains to compare in a crossing, for the largest to 1e-3
-        np.maximum(0.5 * stepper.needed_cells(rig), stepper.PER_PERIOD / rig.speed_ratio),
-        rig.layer.thickness, rig.crossing_time, rig.relaxation_time,
-        rig.gravity, rig.layer.impedance, rig.engine.speed_scale,
-    )
-
-
 @kernel
 def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedance, speed):
     """Complete the third record, which has the plate's motion already."""
@@ -163,7 +149,7 @@ def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedan
     s.release_threshold = -s.gravity_offset - stepper.FORCE_NOISE * speed
     s.base = -2 * N
     s.contact, s.kink = True, N
-    # A divisor of N, so that kinks, where strains are largest, are at points that are compared
+    # A divisor of N, so that kinks, where strains are largest, are compared
     s.stride = max(1, int(N / strains))
     while N % s.stride > 0:
         s.stride -= 1
@@ -276,8 +262,8 @@ def _cross_step(s, waves, events, target):
             jump = V - 2.0 * cubic[0] - s.gravity_offset
     p, V, height, surface, _ = _top_at(s, waves, target, begin, V, cubic)
     if target < 1.0:
-        s.upward[1], s.surface = p, surface
-        s.downward[1] = V - p if s.contact else p + s.gravity_offset
+        s.surface = surface
+        s.downward = V - p if s.contact else p + s.gravity_offset
         force = s.impedance * (2.0 * p - V + s.gravity_offset)
         s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
         s.state[stepper.PROJECTILE_VELOCITY] = V
@@ -423,13 +409,11 @@ def _advance(core, waves, path, events, time):
         return s.events
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
-    height, speed, _ = motion_at(s, path, time)
-    s.upward[0] = speed - m
-    s.downward[0] = m
-    s.state[stepper.TIME] = time
-    s.state[stepper.PLATE_POSITION] = height
-    s.state[stepper.PLATE_VELOCITY] = speed
-    s.state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
+    state = s.state
+    state[stepper.TIME] = time
+    state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
+    s.upward = state[stepper.PLATE_VELOCITY] - m
+    state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward - s.gravity_offset)
     return s.events
 
 
@@ -446,10 +430,10 @@ def _read_layer(core, waves, out):
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
-    # From the last grid point to now, waves go on along a line; a later step overwrites its end.
+    # Waves go on along a line to now, until a step overwrites its end
     offset = s.offset if s.offset > 0.0 else 1.0
-    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / offset
-    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / offset
+    waves[0, i + 1] = waves[0, i] + (s.upward - waves[0, i]) / offset
+    waves[1, i + 1] = waves[1, i] + (s.downward - waves[1, i]) / offset
     last = force.size - 1
     spacing, start = s.steps / last, i - s.steps - 1
     at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
@@ -458,9 +442,6 @@ def _read_layer(core, waves, out):
         m = _between(waves[1, start:], at_top + spacing * n)
         velocity[n] = p + m
         force[n] = p - m + s.gravity_offset
-    for end in range(2):
-        velocity[end * last] = s.upward[end] + s.downward[end]
-        force[end * last] = s.upward[end] - s.downward[end] + s.gravity_offset
     # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
     cell = s.thickness / last
     stretch = 0.5 * cell * s.steps * s.step / s.thickness
@@ -475,9 +456,24 @@ def _read_layer(core, waves, out):
         force[n] *= s.impedance
 
 
-_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
-_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
-_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
+_kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=2)
+
+
+def _preparer(rigs: Any, steps: Any) -> Callable[[NDArray[np.void], int], tuple[Floats, float]]:
+    """Return a function that completes the third record, and returns waves and `Stepper.cost`."""
+    # Strains to compare in a crossing, for the largest to 1e-3
+    strains = np.maximum(0.5 * stepper.needed_cells(rigs), stepper.PER_PERIOD / rigs.speed_ratio)
+    columns = [np.atleast_1d(column) for column in (
+        steps, strains, rigs.layer.thickness, rigs.crossing_time, rigs.relaxation_time,
+        rigs.gravity, rigs.layer.impedance, rigs.engine.speed_scale,
+    )]
+
+    def prepare(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
+        _prepare(core, *(column[n] for column in columns))
+        N, step = int(core[2]['steps']), float(core[2]['step'])
+        return np.zeros((2, 4 * N + _SPARE_STEPS)), _STEP_COST / step
+
+    return prepare
 
 
 class WaveStepper(Stepper):
@@ -486,7 +482,7 @@ class WaveStepper(Stepper):
 
     Parameters
     ----------
-    rig, is_measured, field_points
+    rig, **options
         As for `throw.make_stepper`.
     steps : int, optional
         Per crossing of the wave, 16 to `CAPACITY`; by default 512, or more where the relaxation
@@ -510,32 +506,22 @@ class WaveStepper(Stepper):
 
     """
 
-    def __init__(
-        self, rig: Rig, *, is_measured: bool = False, steps: int | None = None,
-        field_points: int = 64,
-    ) -> None:
+    def __init__(self, rig: Rig, *, steps: int | None = None, **options: Any) -> None:
         if rig.layer.needs_cells:
-            raise ValueError(
-                'travelling waves need a layer of one material, linear and without loss, '
-                f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
-            )
+            count = len(rig.layer.sheets)
+            raise ValueError(f'layer must be linear without loss, got {count} sheets, {rig.layer}')
         cost = _STEP_COST / rig.crossing_time
         if steps is None:
             steps = stepper.cells_in_real_time(rig, cost, 1, fewest=_STEPS)
             steps -= steps % 32
         self.steps = stepper.require_count('steps', steps, low=16, high=CAPACITY)
-        self.cost = cost * self.steps
         core = np.zeros(3, RECORD)
-        _prepare(core, self.steps, *_constants_of(rig))
-        super().__init__(
-            rig, core, np.zeros((2, 4 * self.steps + _SPARE_STEPS)),
-            (_advance_compiled(), _read_layer_compiled()),
-            is_measured=is_measured, field_points=field_points,
-        )
+        waves, self.cost = _preparer(rig, self.steps)(core, 0)
+        super().__init__(rig, core, waves, _kernels(), **options)
 
 
 def throw_batch(
-    values: Mapping[str, Floats], *, until: Floats, cancelled: Cancelled | None = None
+    values: Mapping[str, Floats], until: Floats, cancelled: Cancelled | None = None
 ) -> Floats:
     """
     Compute loads for `throw.throw_many`, without loss, unchecked.
@@ -546,17 +532,6 @@ def throw_batch(
     """
     rigs = scales_of(values)
     steps = 32 * np.ceil(np.minimum(stepper.needed_cells(rigs), _STEPS) / 32.0).astype(np.int64)
-    columns = steps, *_constants_of(rigs)
-    step, advance = rigs.crossing_time / steps, _advance_compiled()
-
-    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        _prepare(core, *(column[n] for column in columns))
-        waves = np.zeros((2, 4 * steps[n] + _SPARE_STEPS))
-        return waves, _STEP_COST / step[n]
-
-    return stepper.follow_batch(RECORD, advance, prepare_throw, values, until + step, cancelled)
-
-
-def warm_up() -> None:
-    """Compile or load all kernels that the twin needs."""
-    stepper.load_kernels(WaveStepper(Rig(), is_measured=True, field_points=2))
+    latest = until + rigs.crossing_time / steps
+    prepare = _preparer(rigs, steps)
+    return stepper.follow_batch(RECORD, _kernels()[0], prepare, rigs, latest, cancelled)

@@ -16,8 +16,13 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from soft_throw_ros.core.plate_kernels import CAPACITY
-from soft_throw_ros.core.stepper import Event, PLATE_POSITION, PROJECTILE_POSITION, Stepper
+from soft_throw_ros.core.stepper import (
+    CAPACITY,
+    Event,
+    PLATE_POSITION,
+    PROJECTILE_POSITION,
+    Stepper,
+)
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.plate_observer import PlateObserver
 from soft_throw_ros.twin.prepared_rig import (

@@ -16,9 +16,8 @@ from reference.cases import FREQUENCY, log_uniform, make_paper_rig, STRAINS
 from reference.method_of_steps import follow
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
-from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_VELOCITY, TIME
+from soft_throw_ros.core.stepper import CAPACITY, EventLimitError, PROJECTILE_VELOCITY, TIME
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import WaveStepper
 

@@ -13,9 +13,8 @@ from reference.cases import FREQUENCY, make_rig
 from soft_throw_ros.core import batch, simulate, throw_many
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
-from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Event, PROJECTILE_FORCE, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import CAPACITY, Event, PROJECTILE_FORCE, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import ejections, HELD, REFUSED, RELEASED, rig_with
 
 TIMES = np.arange(0.0, 0.05, 2e-4)

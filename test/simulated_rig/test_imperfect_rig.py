@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
-from soft_throw_ros.core.plate_kernels import CAPACITY
 from soft_throw_ros.core.rig import Engine, Layer, Rig
+from soft_throw_ros.core.stepper import CAPACITY
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections, throw
 
 
