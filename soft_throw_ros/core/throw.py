@@ -22,9 +22,6 @@ from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 _BUDGET = 0.5
 """Time of a processor after which a throw ends that `until` does not end. [s]"""
 
-_QUIET_PERIODS = 2.0
-"""Periods of the plate and of the bare layer that show how far up the free top swings. [-]"""
-
 _LOSSLESS_CELLS, _SETTLED = (256, 512, 1024, 2048), 1e-4
 """
 Numbers of cells of a lossless layer until time and speed of the release change by less than this;
@@ -167,9 +164,8 @@ def simulate(
         Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
         Stop at this time [s]. If not given, stop when the projectile has come down on the layer,
-        since a lossless bounce has no end, or after half a second of computing. Where it cannot
-        come down until then, stop when it is far above every height that the free top reached in
-        eight crossings and two periods of the plate.
+        since a lossless bounce has no end, or after half a second of computing; without gravity
+        also after 16 periods of the plate or of the projectile on the layer without an event.
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -219,30 +215,21 @@ def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> 
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
     latest = until or max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
-    quiet = _QUIET_PERIODS * (4.0 * rig.crossing_time + 1.0 / rig.engine.frequency)
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
-    low = high = rig.rest_height
-    time, event_count = 0.0, 0
+    time = last_time = 0.0
     while time < latest:
         check_cancelled(cancelled)
         time = min(time + tick, latest)
         count = stepper.advance_to(time)
         if until is not None:
             continue
-        surface = float(stepper.read_layer()[0, -1])
-        if count > event_count:
-            event_count, last = count, stepper.events(count - 1)[0]
+        if count:
+            last = stepper.events(count - 1)[0]
+            last_time = last.time
             if last.kind == 'landing':
                 return
-            low = high = surface
-        low, high = min(low, surface), max(high, surface)
-        if not count and time > rig.longest_wait:
+        if time - last_time > rig.longest_wait and not (count and rig.gravity):
             return
-        if count and not stepper.in_contact and time - last.time > quiet:
-            _, _, height, _, speed, _, _ = stepper.state.tolist()
-            returns = rig.gravity > 0.0 and time + 2.0 * speed / rig.gravity <= latest
-            if height - high > high - low and speed > 0.0 and not returns:
-                return
 
 
 Changes: TypeAlias = Mapping[str, Floats | float]
