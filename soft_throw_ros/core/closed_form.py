@@ -81,7 +81,7 @@ class FirstRelease(NamedTuple):
 
 def first_releases(
     *, mass_ratio: ArrayLike, speed_ratio: ArrayLike, damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0, threads: int | None = None,
+    gravity_ratio: ArrayLike = 0.0,
 ) -> FirstRelease:
     r"""
     Compute times and speeds of the first releases of rigid projectiles.
@@ -99,8 +99,6 @@ def first_releases(
         Damping ratio of the plate, :math:`\zeta`. [-]
     gravity_ratio : array_like
         :math:`g / (A \omega^2)`. [-]
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
 
     Returns
     -------
@@ -137,7 +135,7 @@ def first_releases(
     columns = results.reshape(2, -1)
     run_batches(
         lambda batch: release_series(ratios, columns, batch[0], batch.size),
-        np.arange(ratios.shape[1]), size=2048, threads=threads,
+        np.arange(ratios.shape[1]), size=2048,
     )
     phase, speed = results
     return FirstRelease(phase, speed, (speed / peak_velocity_ratio(arrays[2])) ** 2)

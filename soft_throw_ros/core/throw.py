@@ -271,7 +271,7 @@ class Throws(NamedTuple):
 
 def throw_many(
     rig: Rig, changes: Changes | None = None, *, loads: bool = False, cells: int | None = None,
-    threads: int | None = None, cancelled: Cancelled | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Throws:
     """
     Compute the first releases of a rig, or of rigs with other values.
@@ -289,8 +289,6 @@ def throw_many(
         Whether strains, accelerations, forces and work are needed; they may be NaN otherwise.
     cells : int, optional
         Number of cells of layers that need them; chosen for errors of 1e-4 if not given.
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -357,9 +355,7 @@ def throw_many(
         (by_cells, ~has_stepper & has_cells, 32),
         (by_steppers, has_stepper, 8),
     ):
-        run_batches(
-            run, np.flatnonzero(chosen & exist), size=size, threads=threads, cancelled=cancelled
-        )
+        run_batches(run, np.flatnonzero(chosen & exist), size=size, cancelled=cancelled)
     status[~np.isnan(results[0])] = RELEASED
     results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
     motion, zeta = rig.engine.motion, values['damping_ratio']
