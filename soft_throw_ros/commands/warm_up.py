@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import CommandParser, print_lines, run_comma
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import stepper
 from soft_throw_ros.design.recommendation import solve_request
-from soft_throw_ros.twin import plate_observer, sample_buffer
+from soft_throw_ros.twin import plate_monitor, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
@@ -44,7 +44,9 @@ def _step(loss_tangent: float) -> None:
 PARTS: dict[str, Callable[[], object]] = {
     'travelling_wave': lambda: _step(0.0),
     'design': lambda: solve_request(TWIN.defaults()),
-    'measured': lambda: [module.warm_up() for module in (sample_buffer, plate_observer)],
+    'measured': lambda: [
+        module.warm_up() for module in (sample_buffer, plate_monitor, plate_observer)
+    ],
     'cells': lambda: _step(0.1),
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""
