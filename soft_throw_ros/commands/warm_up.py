@@ -18,15 +18,16 @@ import signal
 import sys
 import time
 
+import numpy as np
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.configuration import TWIN
-from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
+from soft_throw_ros.core import stepper
 from soft_throw_ros.design.recommendation import solve_request
 from soft_throw_ros.twin import plate_monitor, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
-    *Path(str(wave_stepper.__file__)).parent.glob('*.py'),
+    *Path(str(stepper.__file__)).parent.glob('*.py'),
     *Path(str(plate_observer.__file__)).parent.glob('*.py'),
 )
 
@@ -76,9 +77,13 @@ def load_kernels(*, say: Callable[[str], object] = lambda _line: None) -> None:
 def _run_kernels() -> None:
     """Run all kernels once: of throws with and without loss, of a design, of a measured plate."""
     for loss_tangent in (0.0, 0.1):
-        prepare({**TWIN.defaults(), 'layer.loss_tangent': loss_tangent})
+        settings = {**TWIN.defaults(), 'layer.loss_tangent': loss_tangent}
+        prepare(settings)
+        measured = prepare({**settings, 'engine.motion': 'measured'})
+        if measured.ahead:
+            measured.ahead[0].sync_from(measured.stepper, np.empty(0), np.empty((0, 3)))
     solve_request(TWIN.defaults())
-    for module in (wave_stepper, cell_stepper, sample_buffer, plate_monitor, plate_observer):
+    for module in (sample_buffer, plate_monitor, plate_observer):
         module.warm_up()
 
 
@@ -88,6 +93,6 @@ def _mark() -> Path:
 
     It has the suffix of numba's index files, so that clearing the cache deletes it as well.
     """
-    folder = Path(str(plate_kernels.write_damped.stats.cache_path))
+    folder = Path(str(stepper.write_damped.stats.cache_path))
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f'all.{sys.implementation.cache_tag}.nbi'

@@ -18,16 +18,8 @@ if TYPE_CHECKING:
     from soft_throw_ros.core.throw import simulate, Throw, throw_many, Throws
 
 __all__ = [
-    'Engine',
-    'Layer',
-    'Projectile',
-    'Rig',
-    'SampledMotion',
-    'Throw',
-    'ThrowUnresolvedError',
-    'Throws',
-    'simulate',
-    'throw_many',
+    'Engine', 'Layer', 'Projectile', 'Rig', 'SampledMotion', 'Throw', 'ThrowUnresolvedError',
+    'Throws', 'simulate', 'throw_many',
 ]
 
 

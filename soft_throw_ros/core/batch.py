@@ -35,23 +35,20 @@ def check_cancelled(cancelled: Cancelled | None) -> None:
 
 def run_batches(
     run: Callable[[NDArray[np.int64]], object], indices: NDArray[np.int64], *, size: int,
-    threads: int | None, cancelled: Cancelled | None = None,
+    cancelled: Cancelled | None = None,
 ) -> None:
     """
-    Call a function with batches of at most `size` indices, several at once.
+    Call a function with batches of at most `size` indices, on all `usable_processors`.
 
-    The threads are fresh, because numba's thread pool is not re-entrant; by default there are
-    `usable_processors`. ValueError if `threads` is not a positive whole number or None.
+    The threads are fresh, because numba's thread pool is not re-entrant.
     """
-    if threads is not None and not (type(threads) is int and threads > 0):
-        raise ValueError(f'threads must be a positive whole number or None, got {threads!r}')
 
     def run_batch(start: int) -> None:
         check_cancelled(cancelled)
         run(indices[start:start + size])
 
     starts = range(0, indices.size, size)
-    workers = min(threads or usable_processors(), len(starts))
+    workers = min(usable_processors(), len(starts))
     if workers > 1:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(run_batch, starts))  # raises the exceptions of the threads

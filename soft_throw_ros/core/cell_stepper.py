@@ -38,50 +38,22 @@ from collections.abc import Mapping
 import math
 from typing import Any, NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import material, stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import motion_at
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, stepper_kernels, subroutine
 from soft_throw_ros.core.rig import Layer, Rig, scales_of, values_of
-from soft_throw_ros.core.stepper import Stepper
-
-Floats = NDArray[np.float64]
-
-MAX_CELLS = 4096
-"""Most cells of a layer."""
-
-MAX_UPDATE_RATE = 6e7
-"""Most cells times steps in a second of rig time; a processor takes 3e8 and more. [1/s]"""
+from soft_throw_ros.core.stepper import CAPACITY, motion_at, Stepper
 
 _UPDATE_COST = 4e-9
 """Time of a processor for a cell in a step. [s]"""
 
-_CELLS, _CELLS_PER_RELAXATION, _STEPS_PER_PERIOD = 64, 12.0, 120.0
-"""Cells, cells per relaxation over crossing time, and steps per plate period for 1e-4. [-]"""
-
-_MIN_CELLS_PER_RELAXATION, _MIN_STEPS_PER_PERIOD = 4.0, 80.0
-"""The same for 1e-3, below which a rig is refused in real time. [-]"""
-
-_NEO_HOOKEAN_CELLS, _MAX_BATCH_CELLS = 1.5, 2048
-"""Cells of a neo-Hookean layer over those of a linear one, and most cells, in a batch. [-]"""
-
-_SHOCK_SPEED = 1.055
-"""Stable step without artificial viscosity over the stable step with artificial viscosity. [-]"""
-
-_ROUNDING = 1e-9
-"""Relative rounding error of a crossing time. [-]"""
-
-_FORCE_NOISE = 1e-11
-"""Rounding of the contact force, over impedance times the plate's peak speed [-]."""
+_NEO_HOOKEAN_CELLS = 1.5
+"""Cells of a neo-Hookean layer over those of a linear one, in a batch. [-]"""
 
 _FASTEST = 0.05
 """Largest shock that keeps the explicit artificial viscosity stable, in cells per step. [-]"""
-
-_MIN_STRETCH = 1.0 - material.LARGEST_STRAIN
-"""Stretch ratio below which a neo-Hookean cell follows its tangent. [-]"""
 
 _static_stretch = subroutine(material.static_stretch)
 
@@ -124,8 +96,6 @@ class Row(NamedTuple):
 ROW = Row()
 """Rows by name, constants in a kernel."""
 
-_ROW_COUNT = 32
-
 RECORD = np.dtype(
     [
         # constants
@@ -163,37 +133,9 @@ RECORD = np.dtype(
 @inlined
 def _neo_hookean_stress(ratio):
     """Compute the stress of a stretch ratio over E / 3."""
-    inverse = 1.0 / max(ratio, _MIN_STRETCH)
+    inverse = 1.0 / max(ratio, 1.0 - material.LARGEST_STRAIN)
     share = ratio * inverse
     return ratio - inverse * inverse * (3.0 - (share + share))
-
-
-@subroutine
-def _cut(s, nodes, counts, sheets):
-    """Cut sheets into cells, at rest under the weight of the projectile."""
-    weight, tension = s.mass * s.gravity, 0.0
-    for n in range(counts.size):
-        sheet, first = sheets[n], s.cells
-        modulus, inverse = sheet[ROW.third_modulus], sheet[ROW.inverse_length]
-        if modulus > 0.0:
-            ratio = _static_stretch(weight / modulus)
-            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio)
-            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
-        else:
-            strain = weight / sheet[ROW.stiffness] * inverse
-        s.cells += counts[n]
-        for j in range(first, s.cells):
-            for row in range(ROW.mass):
-                nodes[row, j] = sheet[row]
-            nodes[ROW.mass, j] += 0.5 * sheet[ROW.mass]
-            nodes[ROW.mass, j + 1] += 0.5 * sheet[ROW.mass]
-            nodes[ROW.static_strain, j] = nodes[ROW.peak_strain, j] = strain
-            nodes[ROW.constant_tension, j] = tension
-            nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + (1.0 - strain) / inverse
-        s.has_maxwell |= sheet[ROW.maxwell_stiffness:ROW.viscosity].max() > 0.0
-        s.has_implicit |= sheet[ROW.implicit_stiffness] > 0.0
-    s.edge_cells[0, 1] = min(1, counts[0] - 1)
-    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.cells - 1, s.cells - min(2, counts[-1])
 
 
 @subroutine
@@ -261,16 +203,38 @@ def _prepare(
     core: Any, nodes: Any, counts: Any, sheets: Any, step: float, mass: float, gravity: float,
     omega: float, peak_force: float,
 ) -> None:
-    """Complete the third record but for the plate's motion, and cut the sheets."""
+    """Complete the third record but for the plate's motion, and cut the sheets, at rest."""
     s = core[2]
     s.step, s.mass, s.gravity = step, mass, gravity
-    s.release_threshold = -_FORCE_NOISE * peak_force
+    s.release_threshold = -stepper.FORCE_NOISE * peak_force
     s.event_time = s.fastest_shock = math.inf
     s.contact = True
     for element in range(3):
         s.maxwell_rates[element] = material.RELAXATION_RATES[element] * omega
         s.maxwell_gain[element] = 1.0 / (1.0 + 0.5 * step * s.maxwell_rates[element])
-    _cut(s, nodes, counts, sheets)
+    weight, tension = mass * gravity, 0.0
+    for n in range(counts.size):
+        sheet, first = sheets[n], s.cells
+        modulus, inverse = sheet[ROW.third_modulus], sheet[ROW.inverse_length]
+        if modulus > 0.0:
+            ratio = _static_stretch(weight / modulus)
+            strain, tension = 1.0 - ratio, -modulus * _neo_hookean_stress(ratio)
+            s.fastest_shock = min(s.fastest_shock, _FASTEST / (inverse * s.step))
+        else:
+            strain = weight / sheet[ROW.stiffness] * inverse
+        s.cells += counts[n]
+        for j in range(first, s.cells):
+            for row in range(ROW.mass):
+                nodes[row, j] = sheet[row]
+            nodes[ROW.mass, j] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.mass, j + 1] += 0.5 * sheet[ROW.mass]
+            nodes[ROW.static_strain, j] = nodes[ROW.peak_strain, j] = strain
+            nodes[ROW.constant_tension, j] = tension
+            nodes[ROW.rest_height, j + 1] = nodes[ROW.rest_height, j] + (1.0 - strain) / inverse
+        s.has_maxwell |= sheet[ROW.maxwell_stiffness:ROW.viscosity].max() > 0.0
+        s.has_implicit |= sheet[ROW.implicit_stiffness] > 0.0
+    s.edge_cells[0, 1] = min(1, counts[0] - 1)
+    s.edge_cells[1, 0], s.edge_cells[1, 1] = s.cells - 1, s.cells - min(2, counts[-1])
     top = s.collision_node = s.cells
     nodes[ROW.mass, top + 1] = mass
     # In flight half of the top's momentum is lost in half a step, which ends its alternation
@@ -282,13 +246,13 @@ def _prepare(
         s.collision_mass += nodes[ROW.mass, j]
     _factorise(s, nodes)
     s.rest_height = nodes[ROW.rest_height, top]
-    s.loads[2] = mass * gravity
-    s.forces[0, :], s.forces[1, :] = -mass * gravity, mass * gravity
+    s.loads[2] = weight
+    s.forces[0, :], s.forces[1, :] = -weight, weight
 
 
 @inlined
-def _elastic_tension(s, nodes):
-    """Compute the elastic tension of all links, and of an artificial viscosity against shocks."""
+def _compute_tension(s, nodes):
+    """Compute the tension of all links, and of an artificial viscosity against shocks."""
     now, fastest = s.index & 1, -s.fastest_shock
     if nodes[ROW.third_modulus, 0] > 0.0:  # all sheets have one law
         for j in range(nodes.shape[1] - 1):
@@ -302,16 +266,10 @@ def _elastic_tension(s, nodes):
         for j in range(nodes.shape[1] - 1):  # E u_y, Eq. (2)
             stretch = _across(nodes, ROW.displacement, j)
             nodes[ROW.tension + now, j] = nodes[ROW.stiffness, j] * stretch
-    if s.has_maxwell:
-        _update_maxwell(s, nodes)
-
-
-@inlined
-def _update_maxwell(s, nodes):
-    """Add the tension of the Maxwell elements, by the trapezoidal rule."""
-    tension = ROW.tension + (s.index & 1)
-    gains = s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2]
-    for j in range(nodes.shape[1] - 1):
+    if not s.has_maxwell:
+        return
+    tension, gains = ROW.tension + now, (s.maxwell_gain[0], s.maxwell_gain[1], s.maxwell_gain[2])
+    for j in range(nodes.shape[1] - 1):  # the Maxwell elements, by the trapezoidal rule
         stretch = _across(nodes, ROW.displacement, j)
         change = stretch - nodes[ROW.previous_stretch, j]
         nodes[ROW.previous_stretch, j] = stretch
@@ -417,7 +375,7 @@ def _march(s, nodes, path, events, goal):
         gap = nodes[ROW.displacement, link + 1] - nodes[ROW.displacement, link]
         if not s.contact and gap < 0.0:
             _handle_landing(s, nodes, events)
-        _elastic_tension(s, nodes)
+        _compute_tension(s, nodes)
         while True:
             if not s.contact:  # both sides of the contact are free of the weight
                 nodes[ROW.tension + now, link] = s.mass * s.gravity
@@ -485,17 +443,16 @@ def _advance(core, nodes, path, events, time):
     goal = stepper.steps_until(s, step, time)
     if goal < 0:
         return goal
-    if goal * step < time:
-        goal += 1
+    goal += int(goal * step < time)
     if goal * step > grid.horizon:
-        return stepper.BEYOND_HORIZON
+        return -1
     _march(grid, nodes, path, events, goal)
     for j in range(grid.cells):  # the loads have those of both ends
         grid.loads[0] = max(grid.loads[0], nodes[ROW.peak_strain, j])
     piece = s.piece
     core[1] = core[0]
     if grid.events > events.shape[0]:
-        return stepper.TOO_MANY_EVENTS
+        return grid.events
     if time < s.piece_begin:  # the grid is further on
         s.piece = piece
     s.fraction = min(max((time - (goal - 1) * step) / step, 0.0), 1.0)
@@ -553,7 +510,7 @@ def _read_layer(core, nodes, points, out):
 @subroutine
 def _elastic_energy(ratio):
     """Integrate the tension of a neo-Hookean rod in E / 3 over the stretch."""
-    x = max(ratio, _MIN_STRETCH)
+    x = max(ratio, 1.0 - material.LARGEST_STRAIN)
     beyond, slope = ratio - x, 1.0 + 2.0 / x**3
     return 0.5 * x**2 + 1.0 / x + beyond * (x - 1.0 / x**2 + 0.5 * beyond * slope)
 
@@ -585,121 +542,101 @@ def _stored_energy(core: Any, nodes: Any) -> float:
     return total  # type: ignore[no-any-return]
 
 
-_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
-_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
-_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS, _ROWS)
+_kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=3)
 
 
-def _reading_points(counts: NDArray[np.int64], lengths: Floats, number: int) -> Floats:
+class _Grids:
     """
-    Return even heights from plate to top, for sheets of some cells of some lengths.
+    Layers of some `rig.values_of`, or of arrays of them, cut into about so many cells.
 
-    The rows are the cell at the height, the two cells of its sheet (or twice the only one) whose
-    middles give forces and strains, the fraction of the first cell, and the weight of the last.
+    `layer` has the proportions of all. The rows of an array are layers, its columns are sheets.
     """
-    bounds = np.append(0.0, np.cumsum(counts * lengths))
-    heights = np.linspace(0.0, bounds[-1], number)
-    sheet = np.minimum(np.searchsorted(bounds, heights, side='right'), counts.size) - 1
-    position = (heights - bounds[sheet]) / lengths[sheet]  # in cells
-    first, last = np.cumsum(counts)[sheet] - counts[sheet], counts[sheet] - 1
-    cell = np.minimum(position.astype(np.int64), last)
-    low = np.clip((position - 0.5).astype(np.int64), 0, np.maximum(last - 1, 0))
-    cells = first + np.array([cell, low, np.minimum(low + 1, last)])
-    return np.array([*cells, position - cell, position - 0.5 - low])
 
+    def __init__(self, values: Mapping[str, Any], layer: Layer, cells: Any) -> None:
+        shares = np.array([
+            (sheet.thickness / layer.thickness, sheet.mass / layer.mass,
+             sheet.crossing_time / layer.crossing_time,
+             sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0)
+            for sheet in layer.sheets
+        ]).T
+        rigs = scales_of({name: np.atleast_1d(value) for name, value in values.items()})
+        wholes = rigs.layer.thickness, rigs.layer.mass, rigs.crossing_time, rigs.layer.loss_tangent
+        thickness, mass, crossing, losses = np.reshape(wholes, (4, -1, 1)) * shares[:, None]
+        spring, none = mass / crossing**2, np.zeros_like(mass)  # of a sheet
+        omega = rigs.engine.angular_frequency
+        constant = losses if layer.loss == 'constant' else none
+        fits = [material.relaxation(loss) for loss in constant.ravel().tolist()]
+        relaxed, *maxwell = np.array(fits).T.reshape(4, *none.shape)
+        lag = (losses - constant) / omega[:, None]
+        is_curved = layer.stress_strain_law == 'neo_hookean'
+        # The fastest wave is that of the largest stiffness of any state
+        steepest = (1.0 + 2.0 / (1.0 - material.LARGEST_STRAIN) ** 3) / 3.0 if is_curved else 1.0
+        tangent = relaxed * steepest + sum(maxwell)
+        crossing = crossing / np.sqrt(tangent)
+        if is_curved:  # the explicit artificial viscosity makes the stable step shorter
+            crossing *= math.sqrt(1.0 - 2.0 * _FASTEST)
+        steps = crossing.sum(axis=1, keepdims=True) / np.reshape(cells, (-1, 1))
+        crossed = crossing / steps * (1.0 + math.sqrt(np.finfo(float).eps))
+        counts = np.maximum(1, crossed.astype(np.int64))
+        mass, spring, inverse = mass / counts, spring * counts, counts / thickness
+        # Newmark's parameter is 1/4 (average acceleration) where a wave is faster than the step
+        implicit = np.where(crossed < 1.0, 0.25 * steps * steps * tangent * spring, 0.0)
+        law = relaxed * spring, none, none
+        if is_curved:  # with the viscosity of von Neumann and Richtmyer
+            law = none, relaxed * spring / inverse / 3.0, mass * inverse
+        viscosity = lag * spring
+        maxwell = [modulus * spring for modulus in maxwell]
+        rows = *law, *maxwell, viscosity, viscosity, implicit, inverse, mass
+        self.steps, self._counts, self._lengths = steps[:, 0], counts, thickness / counts
+        self._columns = (
+            counts, np.stack(rows, axis=-1), self.steps, rigs.projectile.mass, rigs.gravity, omega,
+            rigs.engine.speed_scale * rigs.layer.impedance,
+        )
 
-def _cut_layers(
-    values: Mapping[str, Any], layer: Layer, cells: Any
-) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
-    """
-    Cut layers of some `rig.values_of`, or arrays of them, into about so many cells.
+    def prepare(self, core: NDArray[np.void], n: int) -> tuple[Floats, float]:
+        """Complete the third record for a layer, and return its nodes and `Stepper.cost`."""
+        nodes = np.zeros((ROW.force + 1, self._counts[n].sum() + 2))
+        _prepare(core, nodes, *(column[n] for column in self._columns))
+        return nodes, _UPDATE_COST * nodes.shape[1] / self.steps[n]
 
-    `layer` has the proportions of all. The results are, for each layer, the time step [s], and for
-    its sheets the number of cells, the length of a cell [m], and the rows up to `Row.mass`.
-    """
-    shares = np.array([
-        (sheet.thickness / layer.thickness, sheet.mass / layer.mass,
-         sheet.crossing_time / layer.crossing_time,
-         sheet.loss_tangent / layer.loss_tangent if layer.loss_tangent else 1.0)
-        for sheet in layer.sheets
-    ]).T
-    scales, whole = scales_of(values), values['thickness']
-    wholes = whole, scales.layer.mass, scales.crossing_time, values['loss_tangent']
-    thickness, mass, crossing, losses = np.reshape(wholes, (4, -1, 1)) * shares[:, None]
-    stiffness, none = mass / crossing**2, np.zeros_like(mass)
-    relaxed, maxwell, lag = none + 1.0, np.zeros((3, *none.shape)), none
-    if layer.loss == 'constant':
-        fits = [material.relaxation(loss) for loss in losses.ravel().tolist()]
-        relaxed = np.array([fit.relaxed for fit in fits]).reshape(none.shape)
-        maxwell = np.array([fit.strengths for fit in fits]).T.reshape(maxwell.shape)
-    else:
-        lag = losses / np.reshape(scales.engine.angular_frequency, (-1, 1))
-    is_curved = layer.stress_strain_law == 'neo_hookean'
-    # The fastest wave is that of the largest stiffness of any state
-    steepest = (1.0 + 2.0 / _MIN_STRETCH**3) / 3.0 if is_curved else 1.0
-    tangent = relaxed * steepest + maxwell.sum(axis=0)
-    crossing = crossing / (np.sqrt(tangent) * (_SHOCK_SPEED if is_curved else 1.0))
-    steps = crossing.sum(axis=1, keepdims=True) / np.reshape(cells, (-1, 1))
-    crossed = crossing / steps * (1.0 + _ROUNDING)
-    counts = np.maximum(1, crossed.astype(np.int64))
-    mass, spring, inverse = mass / counts, stiffness * counts, counts / thickness
-    # Newmark's parameter is 1/4 (average acceleration) where a wave is faster than the step
-    implicit = np.where(crossed < 1.0, 0.25 * steps * steps * tangent * spring, 0.0)
-    law = relaxed * spring, none, none
-    if is_curved:  # with the viscosity of von Neumann and Richtmyer
-        law = none, relaxed * spring / inverse / 3.0, mass * inverse
-    viscosity = lag * spring
-    rows = *law, *(maxwell * spring), viscosity, viscosity, implicit, inverse, mass
-    return steps[:, 0], counts, thickness / counts, np.stack(rows, axis=-1)
+    def reading_points(self, number: int) -> Floats:
+        """
+        Return even heights from plate to top of the first layer.
 
-
-def _needed_cells(mass_ratio: Any, speed_ratio: Any) -> Any:
-    """Return the numbers of cells that errors of 1e-4 need."""
-    needed = np.maximum(_CELLS_PER_RELAXATION / mass_ratio, _STEPS_PER_PERIOD / speed_ratio)
-    return np.ceil(np.maximum(needed, _CELLS))
-
-
-def _cells_in_real_time(rig: Rig) -> int:
-    """Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3."""
-    rate = 1.0 / float(_cut_layers(values_of(rig), rig.layer, 1)[0][0])  # with one cell
-    updates, unit = _CELLS**2 * rate, 'cell updates per second'
-    stepper.require_feasible(rig, 'layer.thickness', updates, MAX_UPDATE_RATE, unit)
-    limit = min(MAX_CELLS, math.floor(math.sqrt(MAX_UPDATE_RATE / rate)))
-    for_mass = math.ceil(_MIN_CELLS_PER_RELAXATION / rig.mass_ratio)
-    stepper.require_feasible(rig, 'projectile.mass', for_mass, limit, 'cells')
-    for_plate = math.ceil(_MIN_STEPS_PER_PERIOD / rig.speed_ratio)
-    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, 'cells')
-    return int(min(_needed_cells(rig.mass_ratio, rig.speed_ratio), limit))
+        The rows are the cell at the height, the two cells of its sheet (or twice the only one)
+        whose middles give forces and strains, the fraction of the first cell, and the weight of
+        the last.
+        """
+        counts, lengths = self._counts[0], self._lengths[0]
+        bounds = np.append(0.0, np.cumsum(counts * lengths))
+        heights = np.linspace(0.0, bounds[-1], number)
+        sheet = np.minimum(np.searchsorted(bounds, heights, side='right'), counts.size) - 1
+        position = (heights - bounds[sheet]) / lengths[sheet]  # in cells
+        first, last = np.cumsum(counts)[sheet] - counts[sheet], counts[sheet] - 1
+        cell = np.minimum(position.astype(np.int64), last)
+        low = np.clip((position - 0.5).astype(np.int64), 0, np.maximum(last - 1, 0))
+        cells = first + np.array([cell, low, np.minimum(low + 1, last)])
+        return np.array([*cells, position - cell, position - 0.5 - low])
 
 
 def throw_batch(
-    values: Mapping[str, Floats], layer: Layer, *, cells: int | None, cancelled: Cancelled | None
+    values: Mapping[str, Floats], layer: Layer, cells: int | None, cancelled: Cancelled | None
 ) -> Floats:
     """
     Compute first releases and loads for `throw.throw_many`, unchecked but for `cells`.
 
-    Arguments are as of `_cut_layers`, with 8 to `MAX_CELLS` cells, or by default so many as errors
-    of 1e-4 need; the result is that of `stepper.follow_batch`.
+    Arguments are as of `_Grids`, with 8 to `CAPACITY` cells, or by default so many as errors of
+    1e-4 need; the result is that of `stepper.follow_batch`.
     """
-    if cells is not None:
-        stepper.require_count('cells', cells, low=8, high=MAX_CELLS)
-    scales = scales_of(values)
-    finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
-    needed = np.ceil(finer * _needed_cells(scales.mass_ratio, scales.speed_ratio))
-    cells = cells or np.minimum(needed, _MAX_BATCH_CELLS)
-    steps, counts, _, sheets = _cut_layers(values, layer, cells)
-    omega = scales.engine.angular_frequency
-    peak_force = values['amplitude'] * omega * scales.layer.impedance
-    columns = counts, sheets, steps, values['mass'], values['gravity'], omega, peak_force
-
-    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        nodes = np.zeros((_ROW_COUNT, counts[n].sum() + 2))
-        _prepare(core, nodes, *(column[n] for column in columns))
-        return nodes, _UPDATE_COST * nodes.shape[1] / steps[n]
-
-    return stepper.follow_batch(
-        RECORD, _advance_compiled(), prepare_throw, values, scales.longest_wait, cancelled
-    )
+    rigs = scales_of(values)
+    if cells is None:
+        finer = _NEO_HOOKEAN_CELLS if layer.stress_strain_law == 'neo_hookean' else 1.0
+        cells = np.minimum(np.ceil(finer * stepper.needed_cells(rigs)), CAPACITY)
+    else:
+        stepper.require_count('cells', cells, low=8, high=CAPACITY)
+    prepare = _Grids(values, layer, cells).prepare
+    latest = rigs.longest_wait
+    return stepper.follow_batch(RECORD, _kernels()[0], prepare, rigs, latest, cancelled)
 
 
 class CellStepper(Stepper):
@@ -707,27 +644,19 @@ class CellStepper(Stepper):
     A throw by cells; the layer may be a stack, and have loss.
 
     `stored_energy` is that of now, at any time. Arguments are as for `throw.make_stepper`; the
-    layer has about so many cells, from 1 to `MAX_CELLS`.
+    layer has about so many cells, from 1 to `CAPACITY`.
     """
 
-    def __init__(
-        self, rig: Rig, *, is_measured: bool = False, cells: int | None = None,
-        field_points: int = 64,
-    ) -> None:
-        cells = _cells_in_real_time(rig) if cells is None else cells
-        stepper.require_count('cells', cells, low=1, high=MAX_CELLS)
-        (step,), (counts,), (lengths,), (sheets,) = _cut_layers(values_of(rig), rig.layer, cells)
-        core, nodes = np.zeros(3, RECORD), np.zeros((_ROW_COUNT, counts.sum() + 2))
-        self.step, self.cost = float(step), _UPDATE_COST * nodes.shape[1] / step
-        _prepare(
-            core, nodes, counts, sheets, self.step, rig.projectile.mass, rig.gravity,
-            rig.engine.angular_frequency, rig.engine.speed_scale * rig.layer.impedance,
-        )
-        super().__init__(
-            rig, core, nodes, (_advance_compiled(), _read_layer_compiled()),
-            _reading_points(counts, lengths, field_points), is_measured=is_measured,
-            field_points=field_points,
-        )
+    def __init__(self, rig: Rig, *, cells: int | None = None, **options: Any) -> None:
+        values = values_of(rig)
+        if cells is None:
+            (step,) = _Grids(values, rig.layer, 1).steps
+            cells = stepper.cells_in_real_time(rig, _UPDATE_COST / step, 2)
+        stepper.require_count('cells', cells, low=1, high=CAPACITY)
+        grids, core = _Grids(values, rig.layer, cells), np.zeros(3, RECORD)
+        nodes, self.cost = grids.prepare(core, 0)
+        self.step = float(grids.steps[0])
+        super().__init__(rig, core, nodes, _kernels(), grids.reading_points, **options)
 
     @property
     def horizon(self) -> float:
@@ -738,9 +667,3 @@ class CellStepper(Stepper):
     def stored_energy(self) -> float:
         """Add up the energy of layer and projectile against rest, at the present time [J]."""
         return float(_stored_energy(self._core, self._layer))
-
-
-def warm_up() -> None:
-    """Compile or load all kernels."""
-    stepper.load_kernels(CellStepper(Rig(), is_measured=True, field_points=2))
-    CellStepper(Rig(), field_points=2)  # with the engine's motion

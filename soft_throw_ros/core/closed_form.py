@@ -47,14 +47,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from soft_throw_ros.core import checks
 from soft_throw_ros.core.batch import run_batches
-from soft_throw_ros.core.kernels import inlined, kernel, subroutine
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, subroutine
 from soft_throw_ros.core.plate import peak_velocity_ratio
 from soft_throw_ros.core.rig import MAX_PERIODS
-
-Floats = NDArray[np.float64]
 
 MAX_INTERVALS = 2048
 """Most wave intervals (two crossings each) before the computation gives up with an error. [-]"""
@@ -67,9 +65,6 @@ _ROUNDING = 2e-6
 
 _SEARCH_EFFORT = 1e6
 """Terms of Laguerre sums after which a search is given up: some milliseconds."""
-
-_INVERSE = 1.0 / np.maximum(np.arange(MAX_INTERVALS + 1), 1)
-"""Reciprocals of 1, 1, 2, 3 ..."""
 
 
 class FirstRelease(NamedTuple):
@@ -86,7 +81,7 @@ class FirstRelease(NamedTuple):
 
 def first_releases(
     *, mass_ratio: ArrayLike, speed_ratio: ArrayLike, damping_ratio: ArrayLike = 0.0,
-    gravity_ratio: ArrayLike = 0.0, threads: int | None = None,
+    gravity_ratio: ArrayLike = 0.0,
 ) -> FirstRelease:
     r"""
     Compute times and speeds of the first releases of rigid projectiles.
@@ -104,8 +99,6 @@ def first_releases(
         Damping ratio of the plate, :math:`\zeta`. [-]
     gravity_ratio : array_like
         :math:`g / (A \omega^2)`. [-]
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
 
     Returns
     -------
@@ -137,14 +130,15 @@ def first_releases(
         checks.require_all('damping_ratio', damping_ratio, 'in_unit_interval'),
         checks.require_all('gravity_ratio', gravity_ratio, 'not_negative'),
     )
-    ratios, shape = np.stack(arrays).reshape(len(arrays), -1), arrays[0].shape
-    phase, speed = np.empty((2, ratios.shape[1]))
+    ratios = np.stack(arrays).reshape(len(arrays), -1)
+    results = np.empty((2, *arrays[0].shape))
+    columns = results.reshape(2, -1)
     run_batches(
-        lambda batch: _release_series(ratios, phase, speed, batch[0], batch.size),
-        np.arange(phase.size), size=2048, threads=threads,
+        lambda batch: release_series(ratios, columns, batch[0], batch.size),
+        np.arange(ratios.shape[1]), size=2048,
     )
-    energy_transfer = (speed / peak_velocity_ratio(ratios[2])) ** 2
-    return FirstRelease(*(values.reshape(shape) for values in (phase, speed, energy_transfer)))
+    phase, speed = results
+    return FirstRelease(phase, speed, (speed / peak_velocity_ratio(arrays[2])) ** 2)
 
 
 def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
@@ -180,16 +174,16 @@ def spring_release(*, frequency_ratio: ArrayLike) -> FirstRelease:
 
 
 @kernel
-def _release_series(ratios, phase, speed, first, count):
-    """Compute some throws from number `first` on; `ratios` has a row for each ratio."""
+def release_series(ratios: Floats, results: Floats, first: int, count: int) -> None:
+    """Compute some throws from number `first` on, unchecked, from rows of ratios."""
     c, b = np.empty(MAX_INTERVALS), np.empty(MAX_INTERVALS)
     for n in range(first, first + count):
         wave = _wave(ratios[0, n], ratios[1, n], ratios[2, n], ratios[3, n])
         k, low, high, guess, steady = _find(wave, c, b)
-        phase[n] = speed[n] = math.nan
+        results[0, n] = results[1, n] = math.nan
         if high > 0.0:
             sigma = guess if low < guess < high else 0.5 * (low + high)
-            phase[n], speed[n] = _polish(k, low, high, sigma, wave, steady, c)
+            results[0, n], results[1, n] = _polish(k, low, high, sigma, wave, steady, c)
 
 
 class _Wave(NamedTuple):
@@ -265,7 +259,7 @@ def _find(wave, c, b):
         if steady.real**2 + steady.imag**2 > _GROWTH_LIMIT**2 or underflows:
             break
         older = (k - 1) * b[max(k - 2, 0)]
-        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * _INVERSE[k]
+        b[k] = ((2 * k - 1 - 4.0 * wave.rate) * b[k - 1] - older) * (1.0 / k)
         s_before, s_now = s_now, s_next
         c[k] = s_now - s_before - 2.0 * (power * wave.inverse).imag
         s_next = c[k] * b[0]
@@ -315,7 +309,7 @@ def _attached(k, sigma, wave, steady, c):
     force, slope, upward = (newer + older) * phi, (newer + older) * dphi, older * phi
     for j in range(1, k + 1):
         newer, older = older, c[k - j - 1] if j < k else 0.0
-        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * _INVERSE[j]
+        following = ((2 * j - 1 - x) * phi - (j - 1) * before) * (1.0 / j)  # faster
         dphi -= phi + following
         before, phi = phi, following
         force += (newer + older) * phi

@@ -9,6 +9,11 @@ from functools import cache
 from typing import Any, TypeAlias
 
 import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+"""An array of numbers."""
 
 Record: TypeAlias = Any
 """A record of numpy, whose fields numba knows and type checkers do not."""
@@ -28,11 +33,17 @@ inlined = nb.njit(**_SUBROUTINE, forceinline=True)
 """Compile a subroutine that every step calls."""
 
 
-def compiled(function: Any, *types: nb.types.Type) -> Callable[[], Callable[..., Any]]:
+def stepper_kernels(
+    record: np.dtype[np.void], advance: Any, read_layer: Any, *, arrays: int
+) -> Callable[[], tuple[Callable[..., Any], Callable[..., Any]]]:
     """
-    Return a function that compiles or loads a kernel for its only signature.
+    Return a function that compiles or loads both kernels of a stepper for their only types.
 
-    Calling the compiled function takes half as long as calling the kernel, which looks up the
-    types of all arguments each time.
+    `read_layer` takes so many arrays beside the records. Calling a compiled function takes half as
+    long as calling the kernel, which looks up the types of all arguments each time.
     """
-    return cache(lambda: function.compile(types))
+    records, rows = nb.from_dtype(record)[::1], nb.float64[:, ::1]
+    return cache(lambda: (
+        advance.compile((records, rows, rows, rows, nb.float64)),
+        read_layer.compile((records, *[rows] * arrays)),
+    ))

@@ -33,7 +33,6 @@ References
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -63,18 +62,15 @@ RELAXATION_RATES = (0.2, 2.0, 20.0)
 """Relaxation rates of the Maxwell elements, over the plate's angular frequency. [-]"""
 
 
-class Relaxation(NamedTuple):
-    """Moduli over that at the plate's frequency: of the spring, and of the Maxwell elements."""
-
-    relaxed: float = 1.0
-    strengths: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
 @lru_cache(maxsize=4096)
-def relaxation(loss_tangent: float) -> Relaxation:
-    """Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`."""
+def relaxation(loss_tangent: float) -> tuple[float, ...]:
+    """
+    Fit Maxwell elements to a constant loss tangent, at most `LARGEST_CONSTANT_LOSS`.
+
+    The moduli, over that at the plate's frequency, are those of the spring and of each element.
+    """
     if loss_tangent == 0.0:
-        return Relaxation()
+        return 1.0, 0.0, 0.0, 0.0
     from scipy.optimize import nnls  # which takes long to import, and few layers need
 
     rates = np.array(RELAXATION_RATES)
@@ -82,8 +78,7 @@ def relaxation(loss_tangent: float) -> Relaxation:
     matrix = (rates * omega + rates**2 * loss_tangent) / (rates**2 + omega**2)
     shares, _ = nnls(matrix, np.full(len(matrix), loss_tangent))
     storage = 1.0 - float((shares * rates**2 / (rates**2 + 1.0)).sum())  # at the plate's frequency
-    first, second, third = (shares / storage).tolist()
-    return Relaxation(float(1.0 - shares.sum()) / storage, (first, second, third))
+    return tuple((np.append(1.0 - shares.sum(), shares) / storage).tolist())
 
 
 def static_stretch(load: float) -> float:

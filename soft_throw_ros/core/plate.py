@@ -6,7 +6,7 @@ Motions of the plate.
 Every motion is at rest at height 0 before time 0 (a sampled one: before its first sample), and
 has a position and a velocity at any time. An engine's motion starts at time 0. The closed form
 takes `Underdamped`; measured motions and those from files are `SampledMotion`.
-`soft_throw_ros.core.plate_kernels` evaluates both inside compiled steppers.
+`soft_throw_ros.core.stepper` evaluates both inside compiled steppers.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class SampledMotion(Motion):
         times, states = require_samples(self.times, self.states, 'states', least=2, columns=(3,))
         from scipy.interpolate import PPoly
 
-        path = PPoly(quintic(np.diff(times), *states[:-1].T, *states[1:].T)[::-1], times)
+        path = PPoly(quintic(np.diff(times), states[:-1].T, states[1:].T)[::-1], times)
         for name, value in (('times', times), ('states', states), ('_path', path)):
             object.__setattr__(self, name, value)
 
@@ -162,11 +162,6 @@ class SampledMotion(Motion):
         """Return the motion with scaled times and scaled heights."""
         states = self.states * height / time ** np.arange(3.0)
         return SampledMotion(self.times * time, states)
-
-    def from_start(self) -> SampledMotion:
-        """Return the motion with times since its first state."""
-        start = self.times[0]
-        return self if start == 0.0 else SampledMotion(self.times - start, self.states)
 
     @property
     def end_time(self) -> float:
@@ -213,28 +208,20 @@ def require_samples(
             f'got shapes {values.shape} and {times.shape}'
         )
     for label, array in (('times', times), (name, values)):
-        if not np.isfinite(array).all():
-            index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        for index in zip(*np.nonzero(~np.isfinite(array)), strict=True):
             raise ValueError(f'{label} must be finite, got {array[index]} at index {index[0]}')
-    backward = np.flatnonzero(np.diff(times) <= 0.0)
-    if backward.size:
-        n = int(backward[0]) + 1
+    for n in (1 + np.flatnonzero(np.diff(times) <= 0.0)).tolist():
         raise ValueError(f'times must increase, got {times[n]} after {times[n - 1]} at index {n}')
     return times, values
 
 
-def quintic(
-    D: Any, height: Any, velocity: Any, acceleration: Any, new_height: Any, new_velocity: Any,
-    new_acceleration: Any,
-) -> tuple[Any, ...]:
+def quintic(D: Any, state: Any, later: Any) -> tuple[Any, ...]:
     """Return the coefficients, lowest order first, of a quintic between states D apart."""
-    rise = new_height - height
-    v, w = velocity * D, new_velocity * D
-    q, r = acceleration * D * D, new_acceleration * D * D
+    rise = later[0] - state[0]
+    v, w = state[1] * D, later[1] * D
+    q, r = state[2] * D * D, later[2] * D * D
     return (
-        height,
-        velocity,
-        0.5 * acceleration,
+        state[0], state[1], 0.5 * state[2],
         (10.0 * rise - 4.0 * w - 6.0 * v + 0.5 * r - 1.5 * q) / D**3,
         (7.0 * w + 8.0 * v - 15.0 * rise + 1.5 * q - r) / D**4,
         (6.0 * rise - 3.0 * (v + w) + 0.5 * (r - q)) / D**5,

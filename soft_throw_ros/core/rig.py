@@ -10,7 +10,7 @@ can be simulated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -81,8 +81,9 @@ class Engine:
 
     def __post_init__(self) -> None:
         check_fields(self, 'engine.')
-        if self.motion is not None:
-            object.__setattr__(self, 'motion', self.motion.from_start())
+        if self.motion is not None and self.motion.times[0] != 0.0:
+            since_start = self.motion.times - self.motion.times[0]
+            object.__setattr__(self, 'motion', replace(self.motion, times=since_start))
 
     @property
     def angular_frequency(self) -> float:
@@ -150,12 +151,10 @@ class Layer:
 
     def __post_init__(self) -> None:
         check_fields(self, 'layer.')
-        limit = material.LARGEST_CONSTANT_LOSS
-        if self.loss == 'constant' and self.loss_tangent > limit:
-            raise ValueError(
-                f'layer.loss_tangent must be at most {limit:g} if it is constant, '
-                f'got {self.loss_tangent:g}'
-            )
+        loss, limit = self.loss_tangent, material.LARGEST_CONSTANT_LOSS
+        if self.loss == 'constant' and loss > limit:
+            rule = f'at most {limit} if it is constant'
+            raise ValueError(f'layer.loss_tangent must be {rule}, got {loss:g}')
         if self.parts:
             whole, new = _values_of_sheets(self.parts), vars(self)
             changes = {name: new[name] for name in whole if new[name] != whole[name]}
@@ -174,13 +173,11 @@ class Layer:
 
         """
         parts = tuple(sheet for layer in sheets for sheet in layer.sheets)
-        for sheet in parts[1:]:
-            for name, unit in (('diameter', ' m'), ('stress_strain_law', ''), ('loss', '')):
-                first, other = getattr(parts[0], name), getattr(sheet, name)
-                if first != other:
-                    raise ValueError(
-                        f'layer.sheets must be of one {name}, got {first}{unit} and {other}{unit}'
-                    )
+        for name, unit in (('diameter', ' m'), ('stress_strain_law', ''), ('loss', '')):
+            first, *others = dict.fromkeys(getattr(sheet, name) for sheet in parts)
+            if others:
+                values = f'{first}{unit} and {others[0]}{unit}'
+                raise ValueError(f'layer.sheets must be of one {name}, got {values}')
         return cls(**_values_of_sheets(parts), parts=parts) if len(parts) > 1 else parts[0]
 
     @property
@@ -224,7 +221,7 @@ class Layer:
             return sag / self.thickness
         load = force / (self.youngs_modulus * self.section)
         if self.loss == 'constant':
-            load /= material.relaxation(self.loss_tangent).relaxed
+            load /= material.relaxation(self.loss_tangent)[0]
         if self.stress_strain_law == 'linear':
             return load
         return 1.0 - material.static_stretch(3.0 * load)
@@ -382,11 +379,8 @@ def values_of(rig: Rig) -> dict[str, float]:
 
 
 def scales_of(values: Mapping[str, Any]) -> Any:
-    """Return a `Rig` of arrays, for its properties, from arrays of each of `values_of`."""
-    parts: tuple[Any, Any] = Engine, Layer
-    engine, layer = (
-        kind(**{item.name: values[item.name] for item in fields(kind) if item.name in values})
-        for kind in parts
-    )
-    projectile = Projectile(mass=values['mass'])
-    return Rig(engine=engine, layer=layer, projectile=projectile, gravity=values['gravity'])
+    """Return a `Rig` of arrays of each of `values_of`, unchecked, for its properties."""
+    rig = Rig()
+    for part in (rig.engine, rig.layer, rig.projectile, rig):
+        vars(part).update((name, values[name]) for name in vars(part).keys() & values.keys())
+    return rig

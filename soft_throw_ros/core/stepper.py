@@ -1,10 +1,16 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Steppers: models of one throw that go forward in time, by waves or by cells."""
+"""
+Steppers: models of one throw that go forward in time, by waves or by cells.
+
+Kernels know the plate's motion as pieces, each a quintic in height; the present piece is in a
+stepper's record. Pieces of a damped step are made when they are needed. Those of another motion
+are in a *path*, a ring with a column for each piece: its start time, and the six coefficients.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 import copy
 from functools import partial
 from itertools import pairwise
@@ -13,12 +19,10 @@ from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from soft_throw_ros.core import plate_kernels
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, ThrowUnresolvedError
-from soft_throw_ros.core.kernels import Record, subroutine
-from soft_throw_ros.core.rig import Rig
-
-Floats = NDArray[np.float64]
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, Record, subroutine
+from soft_throw_ros.core.plate import damped_state, quintic
+from soft_throw_ros.core.rig import Engine, Rig
 
 (
     TIME, PLATE_POSITION, PROJECTILE_POSITION, PLATE_VELOCITY, PROJECTILE_VELOCITY, PLATE_FORCE,
@@ -31,14 +35,44 @@ EventKind: TypeAlias = Literal['release', 'recontact', 'landing']
 _EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 _RELEASE, _RECONTACT, _LANDING = np.arange(3)  # in the memory of a kernel
 
-MAX_EVENTS = 4096
-"""Most events of one throw."""
+CAPACITY = 4096
+"""
+Most entries of each table of a stepper, whose memory does not grow: cells of a layer, steps of a
+crossing, events of a throw, states of a measured plate ahead of the stepper. [-]
+"""
+
+MAX_COST = 0.24
+"""Largest `Stepper.cost` of a twin, which has other work to do as well. [-]"""
+
+FEWEST, PER_RELAXATION, PER_PERIOD = 64, 12.0, 120.0
+"""
+Cells of a layer, and per relaxation time and plate period, for errors of 1e-4; of second order,
+so that a third is enough for 1e-3. [-]
+"""
+
+FORCE_NOISE = 1e-11
+"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
 _SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
 
+_PIECES_PER_PERIOD = 32.0
+"""Pieces in a period of a damped step, whose speeds err by 1e-8 of the largest. [-]"""
+
+_quintic, _damped_state = subroutine(quintic), subroutine(damped_state)
+
 COMMON = [
-    *plate_kernels.PLATE,
+    ('amplitude', 'f8'),  # of a damped step [m]
+    ('growth', 'f8'),  # its exponent [1/s]
+    ('turn', 'f8'),
+    ('duration', 'f8'),  # of its pieces, 0 for another motion [s]
+    ('piece_begin', 'f8'),  # of the present piece [s]
+    ('piece_end', 'f8'),  # infinite if no other piece is known [s]
+    ('coefficients', 'f8', (6,)),  # of the present piece, lowest order first
+    ('piece', 'i8'),  # its number
+    ('pieces', 'i8'),  # how many are known; number 0 is rest before the first state
+    ('horizon', 'f8'),  # until when the plate is known [s]
+    ('last', 'f8', (4,)),  # time, height, velocity and acceleration at the end of all pieces
     ('contact', '?'),
     ('landed', '?'),
     ('events', 'i8'),
@@ -52,12 +86,12 @@ COMMON = [
 ]
 """Fields of the records of all steppers, for `numpy.dtype`."""
 
-BAD_TIME, BEYOND_HORIZON, TOO_MANY_EVENTS = -1, -2, -3
-"""Error codes that a kernel returns instead of the number of events."""
+NO_PATH = np.empty((7, 0))
+"""Path of a damped step."""
 
 
 class EventLimitError(ThrowUnresolvedError):
-    """More than `MAX_EVENTS` events in one throw."""
+    """More than `CAPACITY` events in one throw."""
 
 
 class Event(NamedTuple):
@@ -107,16 +141,16 @@ class Stepper:
 
     def __init__(
         self, rig: Rig, core: NDArray[np.void], layer: Floats,
-        kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: Floats,
-        is_measured: bool, field_points: int,
+        kernels: tuple[Callable[..., Any], Callable[..., Any]], *reading: Callable[[int], Floats],
+        is_measured: bool = False, field_points: int = 64,
     ) -> None:
         """Take over a layer and the third of three records (grid, now, at rest) without plate."""
         self.rig = rig
         self.field_points = require_count('field_points', field_points, low=2, high=1 << 20)
-        self._kernels, self._reading = kernels, reading
+        self._kernels, self._reading = kernels, [points(field_points) for points in reading]
         self._layer_at_rest = layer
-        self._events = np.zeros((MAX_EVENTS, 4))  # rows of kind, time, position, velocity
-        self._path = plate_kernels.write_motion(core, rig.engine, is_measured=is_measured)
+        self._events = np.zeros((CAPACITY, 4))  # rows of kind, time, position, velocity
+        self._path = write_motion(core, rig.engine, is_measured=is_measured)
         self._is_measured = is_measured
         self._bind(core, layer.copy())
         self.reset()
@@ -135,8 +169,7 @@ class Stepper:
     def reset(self) -> None:
         """Go back to time 0, everything at rest; states appended are forgotten."""
         self._numbers[:2] = self._numbers[2]
-        if self._is_measured:
-            self._path[:, 0] = 0.0  # the rest before the first state, unless pieces went round
+        self._path[:, :1] = 0.0  # the rest before the first state, unless pieces went round
         self._layer[:] = self._layer_at_rest
         self._advance(0.0)
 
@@ -149,14 +182,12 @@ class Stepper:
         events on the way, and only `reset` helps.
         """
         count: int = self._advance(time)
-        if count == BEYOND_HORIZON:
-            raise ValueError(f'the plate is known until {self.horizon:g} s, got {time:g} s')
-        if count == TOO_MANY_EVENTS:
-            raise EventLimitError(f'more than {MAX_EVENTS} events before {time:g} s')
-        if count == BAD_TIME:
+        if count > CAPACITY:
+            raise EventLimitError(f'more than {CAPACITY} events before {time:g} s')
+        if count < 0:
             raise ValueError(
-                f'time must be finite and must not go backwards, got {time!r} s after '
-                f'{float(self.state[TIME])!r} s'
+                f'time must be finite and from {float(self.state[TIME])!r} s on, and the plate is '
+                f'known until {self.horizon:g} s, got {time!r} s'
             )
         return count
 
@@ -201,20 +232,14 @@ class Stepper:
                 f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
-        if ahead > plate_kernels.MAX_PIECES_AHEAD:
+        if ahead > CAPACITY:
             raise ValueError(
-                f'states must not be more than {plate_kernels.MAX_PIECES_AHEAD} ahead of '
-                f'advance_to, got {times.size} which makes {ahead}'
+                f'states must not be more than {CAPACITY} ahead of advance_to, '
+                f'got {times.size} which makes {ahead}'
             )
-        self._append(times, states)
+        append_states(self._core, 0, self._path, times, states)
         self._core['piece_end'][0] = -math.inf  # the present piece may end now
         self._core['horizon'][:2] = times[-1]
-
-    def _append(self, times: Floats, states: Floats) -> None:
-        record = self._core[0]
-        record['pieces'] = plate_kernels.append_states(
-            record['last'], int(record['pieces']), self._path, times, states
-        )
 
     def fork(self) -> Stepper:
         """
@@ -238,8 +263,8 @@ class Stepper:
         """
         self._numbers[:] = origin._numbers
         self._layer[:] = origin._layer
-        self._append(times, states)
-        plate_kernels.extrapolate(self._core, self._path)
+        append_states(self._core, 0, self._path, times, states)
+        extrapolate(self._core, self._path)
 
     def read_layer(self) -> Floats:
         """
@@ -292,34 +317,120 @@ class Stepper:
 def follow_batch(
     record: np.dtype[np.void], advance: Callable[..., int],
     prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
-    values: Mapping[str, Floats], latest: Floats, cancelled: Cancelled | None,
+    rigs: Any, latest: Floats, cancelled: Cancelled | None,
 ) -> Floats:
     """
     Follow throws to their first releases, or up to some latest times [s], without steppers.
 
     `prepare` completes the third record of a throw by its number, and returns its layer and its
-    cost, see `Stepper.cost`. The result has the rows time (NaN without a release), speed, largest
-    strain, acceleration and plate force, and work of the plate.
+    `Stepper.cost`; `rigs` are `rig.scales_of` the throws. The result has the rows time (NaN
+    without a release), speed, largest strain, acceleration and plate force, and work of the plate.
     """
-    amplitude, zeta = values['amplitude'], values['damping_ratio']
-    omega = 2.0 * math.pi * values['frequency']
+    engines, omega = rigs.engine, rigs.engine.angular_frequency
     core, no_events = np.zeros(3, record), np.empty((0, 4))
     numbers = core.view(np.float64).reshape(3, -1)
     rows = np.empty((6, latest.size))
     for n in range(latest.size):
         numbers[:] = 0.0
-        plate_kernels.write_damped(core, amplitude[n], omega[n], zeta[n])
+        write_damped(core, engines.amplitude[n], omega[n], engines.damping_ratio[n])
         layer, cost = prepare(core, n)
         looks = 1 + int(cost * latest[n] / _SLICE)
         numbers[:2] = numbers[2]
         for look in range(1, looks + 1):
             check_cancelled(cancelled)
-            if advance(core, layer, plate_kernels.NO_PATH, no_events, latest[n] * (look / looks)):
+            if advance(core, layer, NO_PATH, no_events, latest[n] * (look / looks)):
                 break
         now = core[1]
         time = now['event_time'] if now['events'] else math.nan
         rows[:, n] = time, now['event_velocity'], *now['loads'], now['work']
     return rows
+
+
+@kernel
+def write_damped(core: Record, amplitude: float, omega: float, zeta: float) -> None:
+    """Write a damped step into the third record, unchecked."""
+    s = core[2]
+    s.amplitude, s.growth, s.turn = amplitude, -zeta * omega, math.sqrt(1.0 - zeta * zeta) * omega
+    s.duration, s.horizon = 1.0 / (_PIECES_PER_PERIOD * omega / (2.0 * math.pi)), math.inf
+
+
+def write_motion(core: NDArray[np.void], engine: Engine, *, is_measured: bool) -> Floats:
+    """Write a motion into the third record, where the plate is at rest; return its path."""
+    record, motion = core[2], engine.motion
+    if motion is None and not is_measured:
+        write_damped(core, engine.amplitude, engine.angular_frequency, engine.damping_ratio)
+        return NO_PATH
+    record['pieces'], record['last'][0] = 1, -math.inf
+    if motion is None or is_measured:
+        return np.zeros((7, CAPACITY + 2))  # one more to extrapolate with
+    path = np.zeros((7, motion.times.size + 1))
+    append_states(core, 2, path, motion.times, motion.states)
+    path[:2, -1] = motion.end_time, motion.states[-1, 0]  # there it stays
+    record['pieces'] += 1
+    record['horizon'] = math.inf
+    return path
+
+
+@subroutine
+def enter_piece(s: Record, path: Floats, time: float) -> None:
+    """Write the piece at `time`, which must not decrease, into the record."""
+    c = s.coefficients
+    if s.duration > 0.0:
+        s.piece = int(time / s.duration) + 1
+        while s.piece * s.duration > time:
+            s.piece -= 1
+        s.piece_begin, s.piece_end = s.piece * s.duration, (s.piece + 1) * s.duration
+        state = _damped_state(s.piece_begin, s.amplitude, s.growth, s.turn)
+        later = _damped_state(s.piece_end, s.amplitude, s.growth, s.turn)
+        duration = s.piece_end - s.piece_begin
+        c[0], c[1], c[2], c[3], c[4], c[5] = _quintic(duration, state, later)
+        return
+    capacity = path.shape[1]
+    while s.piece + 1 < s.pieces and path[0, (s.piece + 1) % capacity] <= time:
+        s.piece += 1
+    s.piece_begin = path[0, s.piece % capacity]
+    s.piece_end = path[0, (s.piece + 1) % capacity] if s.piece + 1 < s.pieces else math.inf
+    for n in range(6):
+        c[n] = path[n + 1, s.piece % capacity]
+
+
+@inlined
+def motion_at(s: Record, path: Floats, time: float) -> tuple[float, float, float]:
+    """Evaluate height, velocity and acceleration of the plate."""
+    if not s.piece_begin <= time < s.piece_end:
+        enter_piece(s, path, time)
+    u, c = time - s.piece_begin, s.coefficients
+    height = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
+    velocity = c[1] + u * (2.0 * c[2] + u * (3.0 * c[3] + u * (4.0 * c[4] + u * 5.0 * c[5])))
+    acceleration = 2.0 * c[2] + u * (6.0 * c[3] + u * (12.0 * c[4] + u * 20.0 * c[5]))
+    return height, velocity, acceleration
+
+
+@kernel
+def append_states(core: Record, row: int, path: Floats, times: Floats, states: Floats) -> None:
+    """Append states (height, velocity, acceleration), joined by quintics, to one record."""
+    s, last = core[row], core[row].last
+    for n in range(times.size):
+        if last[0] >= 0.0:
+            piece = path[:, s.pieces % path.shape[1]]
+            c0, c1, c2, c3, c4, c5 = _quintic(times[n] - last[0], last[1:], states[n])
+            piece[0], piece[1], piece[2] = last[0], c0, c1
+            piece[3], piece[4], piece[5], piece[6] = c2, c3, c4, c5
+            s.pieces += 1
+        last[0], last[1], last[2], last[3] = times[n], states[n, 0], states[n, 1], states[n, 2]
+
+
+@kernel
+def extrapolate(core: Record, path: Floats) -> None:
+    """Extend the plate's motion for ever, with its acceleration at the horizon."""
+    s, last = core[0], core[0].last
+    if math.isfinite(s.horizon) and last[0] >= 0.0:
+        piece = path[:, s.pieces % path.shape[1]]
+        piece[0], piece[1], piece[2] = last[0], last[1], last[2]
+        piece[3], piece[4:] = 0.5 * last[3], 0.0
+        s.pieces += 1
+    s.piece_end = -math.inf  # the present piece may end now
+    s.horizon = core[1].horizon = math.inf
 
 
 @subroutine
@@ -343,20 +454,11 @@ def note_event(s: Record, events: Floats, time: float, height: float, velocity: 
 
 @subroutine
 def steps_until(s: Record, step: float, time: float) -> int:
-    """Return the number of whole steps until a time, or an error code."""
-    if not s.state[TIME] <= time < 4e15 * step:
-        return BAD_TIME
+    """Return the number of whole steps until a time, or -1 if there is no way there."""
+    if not s.state[TIME] <= time < 4e15 * step or time > s.horizon:
+        return -1
     steps = int(time / step)  # to one step
     return steps + int((steps + 1) * step <= time) - int(steps * step > time)
-
-
-def load_kernels(stepper: Stepper) -> None:
-    """Compile or load the kernels of a stepper, which is new and has a measured plate."""
-    stepper.append_plate_states(np.arange(2.0), np.zeros((2, 3)))
-    stepper.advance_to(stepper.horizon / 1024.0)
-    stepper.read_layer()
-    stepper.fork().sync_from(stepper, np.empty(0), np.empty((0, 3)))
-    stepper.stored_energy()
 
 
 def require_count(name: str, value: object, *, low: int, high: int) -> int:
@@ -368,18 +470,30 @@ def require_count(name: str, value: object, *, low: int, high: int) -> int:
     return int(value)
 
 
-def require_feasible(rig: Rig, name: str, needed: float, limit: float, unit: str) -> None:
-    """Refuse a rig that needs more than the limit, with a feasible value of a parameter."""
-    value, dimension, bound = {
-        'layer.thickness': (rig.layer.thickness, 'm', 'more'),
-        'projectile.mass': (rig.projectile.mass, 'kg', 'more'),
-        'engine.frequency': (rig.engine.frequency, 'Hz', 'less'),
-    }[name]
-    if needed > limit:
-        factor = 1.001 * needed / limit
-        feasible = value * factor if bound == 'more' else value / factor
-        raise ThrowUnresolvedError(
-            f'{name} {value:g} {dimension} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
-            f'{needed:.3g} {unit}, the limit is {limit:g}; '
-            f'feasible: {name} of {feasible:.4g} {dimension} or {bound}'
-        )
+def needed_cells(rig: Any) -> Any:
+    """Return the cells of a layer, or of many, that errors of 1e-4 need."""
+    needed = np.maximum(PER_RELAXATION / rig.mass_ratio, PER_PERIOD / rig.speed_ratio)
+    return np.ceil(np.maximum(needed, FEWEST))
+
+
+def cells_in_real_time(rig: Rig, cost: float, order: int, *, fewest: int = FEWEST) -> int:
+    """
+    Choose the cells for errors of 1e-4, or what there is time for if that gives 1e-3.
+
+    `cost` is that of one cell, see `Stepper.cost`; many cost this times a power of their number.
+    ThrowUnresolvedError, with a feasible value of a parameter, if there is no time for 1e-3.
+    """
+    limit = min(CAPACITY, (MAX_COST / cost) ** (1.0 / order))
+    for name, value, unit, needed, power in (
+        ('layer.thickness', rig.layer.thickness, 'm', FEWEST, order),
+        ('projectile.mass', rig.projectile.mass, 'kg', PER_RELAXATION / 3.0 / rig.mass_ratio, 1),
+        ('engine.frequency', rig.engine.frequency, 'Hz', PER_PERIOD / 3.0 / rig.speed_ratio, -1),
+    ):
+        if needed > limit:
+            feasible = value * (1.001 * needed / limit) ** power
+            raise ThrowUnresolvedError(
+                f'{name} {value:g} {unit} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
+                f'{needed:.3g} cells, the limit is {limit:.3g}; '
+                f'feasible: {name} of {feasible:.4g} {unit} or {"more" if power > 0 else "less"}'
+            )
+    return int(min(max(needed_cells(rig), fewest), limit))

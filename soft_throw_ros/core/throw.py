@@ -14,17 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from soft_throw_ros.core import cell_stepper, checks, closed_form, wave_stepper
 from soft_throw_ros.core.batch import Cancelled, check_cancelled, run_batches, ThrowUnresolvedError
+from soft_throw_ros.core.kernels import Floats
 from soft_throw_ros.core.plate import motion_of, peak_velocity_ratio
 from soft_throw_ros.core.rig import RANGES, Rig, scales_of, values_of
 from soft_throw_ros.core.stepper import Event, Loads, Stepper, TIME
 
-Floats = NDArray[np.float64]
-
-_LONGEST, _BUDGET = 60.0, 0.5
-"""Times of a rig and of a processor after which a throw ends that `until` does not end. [s]"""
-
-_QUIET_CROSSINGS, _QUIET_PERIODS = 8.0, 2.0
-"""Crossings plus periods after a release that show how far up the free top swings."""
+_BUDGET = 0.5
+"""Time of a processor after which a throw ends that `until` does not end. [s]"""
 
 _LOSSLESS_CELLS, _SETTLED = (256, 512, 1024, 2048), 1e-4
 """
@@ -46,23 +42,19 @@ def apex_height(ejection: Event, gravity: float) -> float:
     return ejection.position + max(ejection.velocity, 0.0) ** 2 / (2.0 * gravity)
 
 
-def make_stepper(
-    rig: Rig, *, is_measured: bool = False, cells: int | None = None, field_points: int = 64
-) -> Stepper:
+def make_stepper(rig: Rig, *, cells: int | None = None, **options: Any) -> Stepper:
     """
     Make a stepper: cells if the layer needs them, otherwise travelling waves.
 
-    The plate of a measured one moves by `append_plate_states`, and not by the rig's engine; the
-    layer is read at `field_points` heights. ThrowUnresolvedError if the rig cannot be stepped in
-    real time, ValueError if an option is out of range.
+    With the option `is_measured` the plate moves by `append_plate_states`, and not by the rig's
+    engine; the layer is read at `field_points` heights, by default 64. ThrowUnresolvedError if the
+    rig cannot be stepped in real time, ValueError if an option is out of range.
     """
     if rig.layer.needs_cells:
-        return cell_stepper.CellStepper(
-            rig, is_measured=is_measured, cells=cells, field_points=field_points
-        )
+        return cell_stepper.CellStepper(rig, cells=cells, **options)
     if cells is not None:
         raise ValueError(f'cells are for layers that need them only, got {cells!r}')
-    return wave_stepper.WaveStepper(rig, is_measured=is_measured, field_points=field_points)
+    return wave_stepper.WaveStepper(rig, **options)
 
 
 def _make_settled_stepper(
@@ -172,9 +164,8 @@ def simulate(
         Number of cells of a layer that needs them; by default for errors of 1e-4.
     until : float, optional
         Stop at this time [s]. If not given, stop when the projectile has come down on the layer,
-        since a lossless bounce has no end, or after half a second of computing. Where it cannot
-        come down until then, stop when it is far above every height that the free top reached in
-        eight crossings and two periods of the plate.
+        since a lossless bounce has no end, or after half a second of computing; without gravity
+        also after 16 periods of the plate or of the projectile on the layer without an event.
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -206,14 +197,10 @@ def simulate(
     events = tuple(stepper.events())
     if not events:
         largest = rig.engine.speed_scale * rig.engine.angular_frequency
+        end, remedy = stepper.state[TIME], 'follow it for longer'
         if rig.engine.motion is None and largest < rig.gravity:
-            raise ThrowUnresolvedError(
-                f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity, "
-                f'{rig.gravity:g} m/s2, and the projectile stays on the layer'
-            )
-        raise ThrowUnresolvedError(
-            f'the projectile is not released by {stepper.state[TIME]:g} s; follow it for longer'
-        )
+            remedy = f"the plate's acceleration, at most {largest:.3g} m/s2, is below gravity"
+        raise ThrowUnresolvedError(f'the projectile is not released by {end:g} s; {remedy}')
     stepper.reset()
     stepper.advance_to(events[0].time)
     work, stored = stepper.plate_work, stepper.stored_energy()
@@ -227,32 +214,22 @@ def simulate(
 def _run(stepper: Stepper, until: float | None, cancelled: Cancelled | None) -> None:
     """Go to the end of a throw as `simulate` defines it."""
     rig = stepper.rig
-    affordable = max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
-    latest = min(_LONGEST, affordable) if until is None else until
-    quiet = _QUIET_CROSSINGS * rig.crossing_time + _QUIET_PERIODS / rig.engine.frequency
+    latest = until or max(_BUDGET / stepper.cost, 2.0 / rig.engine.frequency)
     tick = 0.25 / max(rig.engine.frequency, rig.natural_frequency)
-    low = high = rig.rest_height
-    time, event_count = 0.0, 0
+    time = last_time = 0.0
     while time < latest:
         check_cancelled(cancelled)
         time = min(time + tick, latest)
         count = stepper.advance_to(time)
         if until is not None:
             continue
-        surface = float(stepper.read_layer()[0, -1])
-        if count > event_count:
-            event_count, last = count, stepper.events(count - 1)[0]
+        if count:
+            last = stepper.events(count - 1)[0]
+            last_time = last.time
             if last.kind == 'landing':
                 return
-            low = high = surface
-        low, high = min(low, surface), max(high, surface)
-        if not count and time > rig.longest_wait:
+        if time - last_time > rig.longest_wait and not (count and rig.gravity):
             return
-        if count and not stepper.in_contact and time - last.time > quiet:
-            _, _, height, _, speed, _, _ = stepper.state.tolist()
-            returns = rig.gravity > 0.0 and time + 2.0 * speed / rig.gravity <= latest
-            if height - high > high - low and speed > 0.0 and not returns:
-                return
 
 
 Changes: TypeAlias = Mapping[str, Floats | float]
@@ -294,7 +271,7 @@ class Throws(NamedTuple):
 
 def throw_many(
     rig: Rig, changes: Changes | None = None, *, loads: bool = False, cells: int | None = None,
-    threads: int | None = None, cancelled: Cancelled | None = None,
+    cancelled: Cancelled | None = None,
 ) -> Throws:
     """
     Compute the first releases of a rig, or of rigs with other values.
@@ -312,8 +289,6 @@ def throw_many(
         Whether strains, accelerations, forces and work are needed; they may be NaN otherwise.
     cells : int, optional
         Number of cells of layers that need them; chosen for errors of 1e-4 if not given.
-    threads : int, optional
-        Largest number of threads, all cores if not given. The number does not change the results.
     cancelled : callable, optional
         See `batch.Cancelled`.
 
@@ -345,24 +320,19 @@ def throw_many(
         return {name: column[batch] for name, column in values.items()}
 
     def by_closed_form(batch: NDArray[np.int64]) -> None:
-        own = selected(batch)
-        scales = scales_of(own)
-        phase, speed, _ = closed_form.first_releases(
-            mass_ratio=scales.mass_ratio, speed_ratio=scales.speed_ratio, threads=1,
-            damping_ratio=own['damping_ratio'], gravity_ratio=scales.gravity_ratio,
-        )
-        results[0, batch] = phase / own['frequency']
-        results[1, batch] = speed * own['amplitude'] * scales.engine.angular_frequency
+        rigs, own = scales_of(selected(batch)), np.empty((2, batch.size))
+        zeta = rigs.engine.damping_ratio
+        ratios = np.stack((rigs.mass_ratio, rigs.speed_ratio, zeta, rigs.gravity_ratio))
+        closed_form.release_series(ratios, own, 0, batch.size)
+        results[0, batch] = own[0] / rigs.engine.frequency
+        results[1, batch] = own[1] * rigs.engine.amplitude * rigs.engine.angular_frequency
         if loads:
-            known = batch[~np.isnan(phase)]
-            results[2:, known] = wave_stepper.throw_batch(
-                selected(known), until=results[0, known], cancelled=cancelled
-            )[2:]
+            known = batch[~np.isnan(own[0])]
+            waves = wave_stepper.throw_batch(selected(known), results[0, known], cancelled)
+            results[2:, known] = waves[2:]
 
     def by_cells(batch: NDArray[np.int64]) -> None:
-        results[:, batch] = cell_stepper.throw_batch(
-            selected(batch), rig.layer, cells=cells, cancelled=cancelled
-        )
+        results[:, batch] = cell_stepper.throw_batch(selected(batch), rig.layer, cells, cancelled)
 
     def by_steppers(batch: NDArray[np.int64]) -> None:
         for n in batch.tolist():
@@ -385,9 +355,7 @@ def throw_many(
         (by_cells, ~has_stepper & has_cells, 32),
         (by_steppers, has_stepper, 8),
     ):
-        run_batches(
-            run, np.flatnonzero(chosen & exist), size=size, threads=threads, cancelled=cancelled
-        )
+        run_batches(run, np.flatnonzero(chosen & exist), size=size, cancelled=cancelled)
     status[~np.isnan(results[0])] = RELEASED
     results[:, status != RELEASED] = math.nan  # loads without a release, which a method may have
     motion, zeta = rig.engine.motion, values['damping_ratio']

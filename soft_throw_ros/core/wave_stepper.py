@@ -37,53 +37,29 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
-from soft_throw_ros.core.kernels import compiled, inlined, kernel, subroutine
-from soft_throw_ros.core.plate_kernels import enter_piece, motion_at
+from soft_throw_ros.core.kernels import Floats, inlined, kernel, stepper_kernels, subroutine
 from soft_throw_ros.core.rig import Rig, scales_of
-from soft_throw_ros.core.stepper import Stepper
+from soft_throw_ros.core.stepper import CAPACITY, enter_piece, motion_at, Stepper
 
-Floats = NDArray[np.float64]
-
-MAX_STEPS = 8192
-"""Most steps per crossing of the wave."""
-
-MAX_STEP_RATE = 4e7
-"""Most steps per second of rig time; a processor computes 4e8 steps per second. [1/s]"""
-
-_STEPS, _FEWEST_STEPS = 512, 64
-"""Steps per crossing for 1e-3 at later events, and fewest for 1e-6 at the first release. [-]"""
-
-_STEPS_PER_PERIOD, _STEPS_PER_RELAXATION = 160.0, 8.0
-"""Fewest steps per period of the plate and per relaxation time, for the first release. [-]"""
+_STEPS = 512
+"""Fewest steps per crossing of the wave for 1e-3 at later events. [-]"""
 
 _STEP_COST = 3e-9
 """Time of a processor for a step. [s]"""
 
-_PAD = 8
-"""Steps that are kept beyond those that are read, for the cubics. [-]"""
-
 _SPARE_STEPS = 1000
 """Spare steps in memory, so that waves are rarely moved; 1024 make copies 10 times as slow. [-]"""
 
-_STRAINS_PER_CROSSING, _STRAIN_PHASE, _STRAIN_FADING = 32.0, 0.05, 0.25
-"""Fewest strains compared in a crossing, longest phase [rad] and time over tau in between. [-]"""
-
-_NOISE = 1e-12
-"""Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
-
 _COUNTS = np.arange(1024.0)
 """Whole numbers, which are slow to convert. [-]"""
-
-_RECIPROCAL = 1.0 / np.maximum(np.arange(25.0), 1.0)
 
 # The first record is the state at a grid point, the second that between two grid points. Lengths
 # count from the static equilibrium, offsets are in steps.
@@ -125,8 +101,8 @@ RECORD = np.dtype(
         ('power_sum', 'f8'),  # sum of power over the impedance and h, without the steps in flight
         ('power', 'f8'),  # last addend
         # at `time`
-        ('upward', 'f8', (2,)),  # p at plate and top
-        ('downward', 'f8', (2,)),  # m at plate and top
+        ('upward', 'f8'),  # p at the plate
+        ('downward', 'f8'),  # m at the top
     ],
     align=True,
 )
@@ -139,9 +115,9 @@ def _moments(x):
     if x < 1.0:
         series = 1.0
         for n in range(19, 4, -1):
-            series = 1.0 - x * _RECIPROCAL[n] * series
+            series = 1.0 - x / n * series
         third = 0.25 * series
-        second = (1.0 - x * third) * _RECIPROCAL[3]
+        second = (1.0 - x * third) / 3.0
         first = (1.0 - x * second) * 0.5
         zeroth = 1.0 - x * first
         return 1.0 - x * zeroth, zeroth, first, second, third
@@ -152,16 +128,8 @@ def _moments(x):
     return decay, zeroth, first, second, (1.0 - 3.0 * second) / x
 
 
-def _constants_of(rig: Any) -> tuple[Any, ...]:
-    """Return the last arguments of `_prepare`, floats or arrays."""
-    return (
-        rig.layer.thickness, rig.crossing_time, rig.relaxation_time, rig.gravity,
-        rig.layer.impedance, rig.engine.angular_frequency, rig.engine.speed_scale,
-    )
-
-
 @kernel
-def _prepare(core, N, thickness, crossing, relaxation, gravity, impedance, omega, speed):
+def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedance, speed):
     """Complete the third record, which has the plate's motion already."""
     s = core[2]
     s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
@@ -178,12 +146,11 @@ def _prepare(core, N, thickness, crossing, relaxation, gravity, impedance, omega
     s.relaxation, s.gravity = relaxation, gravity
     s.rest_height = thickness - gravity * relaxation * crossing  # sag m g L / (E S)
     s.gravity_offset = gravity * relaxation
-    s.release_threshold = -s.gravity_offset - _NOISE * speed
-    s.base = -2 * N - _PAD
+    s.release_threshold = -s.gravity_offset - stepper.FORCE_NOISE * speed
+    s.base = -2 * N
     s.contact, s.kink = True, N
-    longest = min(N / _STRAINS_PER_CROSSING, _STRAIN_FADING * relaxation / s.step)
-    # A divisor of N, so that kinks, where strains are largest, are at points that are compared
-    s.stride = max(1, int(min(longest, _STRAIN_PHASE / (omega * s.step))))
+    # A divisor of N, so that kinks, where strains are largest, are compared
+    s.stride = max(1, int(N / strains))
     while N % s.stride > 0:
         s.stride -= 1
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
@@ -203,7 +170,7 @@ def _expand(s, waves):
     aside = 1 if s.cell == s.kink else (-1 if s.cell + 1 == s.kink else 0)
     i = s.cell - s.base - s.steps + aside
     behind, here, ahead, beyond = waves[0, i - 1], waves[0, i], waves[0, i + 1], waves[0, i + 2]
-    e = _RECIPROCAL[6] * (beyond - behind + 3.0 * (here - ahead))
+    e = (beyond - behind + 3.0 * (here - ahead)) / 6.0
     c = 0.5 * (behind + ahead) - here
     b = ahead - here - c - e
     return _shift(-float(aside), here, b, c, e)
@@ -295,8 +262,8 @@ def _cross_step(s, waves, events, target):
             jump = V - 2.0 * cubic[0] - s.gravity_offset
     p, V, height, surface, _ = _top_at(s, waves, target, begin, V, cubic)
     if target < 1.0:
-        s.upward[1], s.surface = p, surface
-        s.downward[1] = V - p if s.contact else p + s.gravity_offset
+        s.surface = surface
+        s.downward = V - p if s.contact else p + s.gravity_offset
         force = s.impedance * (2.0 * p - V + s.gravity_offset)
         s.state[stepper.PROJECTILE_POSITION] = s.rest_height + height
         s.state[stepper.PROJECTILE_VELOCITY] = V
@@ -393,7 +360,7 @@ def _march(s, waves, path, events, goal):
             s.kink += 2 * s.steps
         if s.filled == s.cell:
             if s.cell + 3 - s.base > waves.shape[1]:
-                shift = s.cell - s.base - _PAD - s.steps
+                shift = s.cell - 2 - s.steps - s.base  # the cubic before a kink begins 2 earlier
                 for j in range(s.cell + 2 - s.base - shift):
                     waves[0, j], waves[1, j] = waves[0, j + shift], waves[1, j + shift]
                 s.base += shift
@@ -427,8 +394,6 @@ def _advance(core, waves, path, events, time):
     goal = stepper.steps_until(s, step, time)
     if goal < 0:
         return goal
-    if time > grid.horizon:
-        return stepper.BEYOND_HORIZON
     _march(grid, waves, path, events, goal)
     core[1] = core[0]
     if s.events <= events.shape[0]:
@@ -441,16 +406,14 @@ def _advance(core, waves, path, events, time):
     s.loads[0] = max(strain, stress, force + s.gravity_offset) / wave_speed
     s.loads[1], s.loads[2] = force / s.relaxation, stress * s.impedance
     if s.events > events.shape[0]:
-        return stepper.TOO_MANY_EVENTS
+        return s.events
     i = goal - s.base - s.steps
     m = waves[1, i] + s.offset * (waves[1, i + 1] - waves[1, i])
-    height, speed, _ = motion_at(s, path, time)
-    s.upward[0] = speed - m
-    s.downward[0] = m
-    s.state[stepper.TIME] = time
-    s.state[stepper.PLATE_POSITION] = height
-    s.state[stepper.PLATE_VELOCITY] = speed
-    s.state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward[0] - s.gravity_offset)
+    state = s.state
+    state[stepper.TIME] = time
+    state[stepper.PLATE_POSITION], state[stepper.PLATE_VELOCITY], _ = motion_at(s, path, time)
+    s.upward = state[stepper.PLATE_VELOCITY] - m
+    state[stepper.PLATE_FORCE] = s.impedance * (m - s.upward - s.gravity_offset)
     return s.events
 
 
@@ -467,10 +430,10 @@ def _read_layer(core, waves, out):
     s = core[1]
     height, velocity, force = out[0], out[1], out[2]
     i = s.cell - s.base
-    # From the last grid point to now, waves go on along a line; a later step overwrites its end.
+    # Waves go on along a line to now, until a step overwrites its end
     offset = s.offset if s.offset > 0.0 else 1.0
-    waves[0, i + 1] = waves[0, i] + (s.upward[0] - waves[0, i]) / offset
-    waves[1, i + 1] = waves[1, i] + (s.downward[1] - waves[1, i]) / offset
+    waves[0, i + 1] = waves[0, i] + (s.upward - waves[0, i]) / offset
+    waves[1, i + 1] = waves[1, i] + (s.downward - waves[1, i]) / offset
     last = force.size - 1
     spacing, start = s.steps / last, i - s.steps - 1
     at_plate, at_top = s.offset + (s.steps + 1), s.offset + 1.0
@@ -479,9 +442,6 @@ def _read_layer(core, waves, out):
         m = _between(waves[1, start:], at_top + spacing * n)
         velocity[n] = p + m
         force[n] = p - m + s.gravity_offset
-    for end in range(2):
-        velocity[end * last] = s.upward[end] + s.downward[end]
-        force[end * last] = s.upward[end] - s.downward[end] + s.gravity_offset
     # Heights by the trapezoidal rule, its error spread over the layer so that both ends agree
     cell = s.thickness / last
     stretch = 0.5 * cell * s.steps * s.step / s.thickness
@@ -496,22 +456,24 @@ def _read_layer(core, waves, out):
         force[n] *= s.impedance
 
 
-_RECORDS, _ROWS = nb.from_dtype(RECORD)[::1], nb.float64[:, ::1]
-_advance_compiled = compiled(_advance, _RECORDS, _ROWS, _ROWS, _ROWS, nb.float64)
-_read_layer_compiled = compiled(_read_layer, _RECORDS, _ROWS, _ROWS)
+_kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=2)
 
 
-def _default_steps(rig: Rig) -> int:
-    """Choose the steps per crossing in real time, or refuse the rig with a feasible value."""
-    slowest = _FEWEST_STEPS / rig.crossing_time
-    stepper.require_feasible(rig, 'layer.thickness', slowest, MAX_STEP_RATE, 'steps per second')
-    limit = math.floor(min(MAX_STEPS, MAX_STEP_RATE * rig.crossing_time))
-    for_plate = math.ceil(_STEPS_PER_PERIOD / rig.speed_ratio)
-    unit = 'steps per crossing of the wave'
-    stepper.require_feasible(rig, 'engine.frequency', for_plate, limit, unit)
-    for_mass = math.ceil(_STEPS_PER_RELAXATION / rig.mass_ratio)
-    steps = min(max(_STEPS, for_mass, for_plate), limit)
-    return steps - steps % 32
+def _preparer(rigs: Any, steps: Any) -> Callable[[NDArray[np.void], int], tuple[Floats, float]]:
+    """Return a function that completes the third record, and returns waves and `Stepper.cost`."""
+    # Strains to compare in a crossing, for the largest to 1e-3
+    strains = np.maximum(0.5 * stepper.needed_cells(rigs), stepper.PER_PERIOD / rigs.speed_ratio)
+    columns = [np.atleast_1d(column) for column in (
+        steps, strains, rigs.layer.thickness, rigs.crossing_time, rigs.relaxation_time,
+        rigs.gravity, rigs.layer.impedance, rigs.engine.speed_scale,
+    )]
+
+    def prepare(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
+        _prepare(core, *(column[n] for column in columns))
+        N, step = int(core[2]['steps']), float(core[2]['step'])
+        return np.zeros((2, 4 * N + _SPARE_STEPS)), _STEP_COST / step
+
+    return prepare
 
 
 class WaveStepper(Stepper):
@@ -520,11 +482,11 @@ class WaveStepper(Stepper):
 
     Parameters
     ----------
-    rig, is_measured, field_points
+    rig, **options
         As for `throw.make_stepper`.
     steps : int, optional
-        Per crossing of the wave, 16 to `MAX_STEPS`; by default 512, or more where the relaxation
-        time or the plate's period is short, but at most `MAX_STEP_RATE` in a second. The default
+        Per crossing of the wave, 16 to `CAPACITY`; by default 512, or more where the relaxation
+        time or the plate's period is short, but not beyond `stepper.MAX_COST`. The default
         has errors of 1e-6 at the first release, and 1e-3 at the next four events of 95 % of rigs,
         in :math:`t f` and :math:`V / (A \omega)`.
 
@@ -544,29 +506,22 @@ class WaveStepper(Stepper):
 
     """
 
-    def __init__(
-        self, rig: Rig, *, is_measured: bool = False, steps: int | None = None,
-        field_points: int = 64,
-    ) -> None:
+    def __init__(self, rig: Rig, *, steps: int | None = None, **options: Any) -> None:
         if rig.layer.needs_cells:
-            raise ValueError(
-                'travelling waves need a layer of one material, linear and without loss, '
-                f'got {len(rig.layer.sheets)} sheets, {rig.layer}'
-            )
-        steps = _default_steps(rig) if steps is None else steps
-        self.steps = stepper.require_count('steps', steps, low=16, high=MAX_STEPS)
-        self.cost = _STEP_COST * self.steps / rig.crossing_time
+            count = len(rig.layer.sheets)
+            raise ValueError(f'layer must be linear without loss, got {count} sheets, {rig.layer}')
+        cost = _STEP_COST / rig.crossing_time
+        if steps is None:
+            steps = stepper.cells_in_real_time(rig, cost, 1, fewest=_STEPS)
+            steps -= steps % 32
+        self.steps = stepper.require_count('steps', steps, low=16, high=CAPACITY)
         core = np.zeros(3, RECORD)
-        _prepare(core, self.steps, *_constants_of(rig))
-        super().__init__(
-            rig, core, np.zeros((2, 4 * self.steps + _SPARE_STEPS)),
-            (_advance_compiled(), _read_layer_compiled()),
-            is_measured=is_measured, field_points=field_points,
-        )
+        waves, self.cost = _preparer(rig, self.steps)(core, 0)
+        super().__init__(rig, core, waves, _kernels(), **options)
 
 
 def throw_batch(
-    values: Mapping[str, Floats], *, until: Floats, cancelled: Cancelled | None = None
+    values: Mapping[str, Floats], until: Floats, cancelled: Cancelled | None = None
 ) -> Floats:
     """
     Compute loads for `throw.throw_many`, without loss, unchecked.
@@ -576,21 +531,7 @@ def throw_batch(
     Errors in loads and work: 1e-3 for 95 % of rigs.
     """
     rigs = scales_of(values)
-    steps = np.maximum(
-        _STEPS_PER_RELAXATION / rigs.mass_ratio, _STEPS_PER_PERIOD / rigs.speed_ratio
-    )
-    steps = np.clip(32.0 * np.ceil(steps / 32.0), _FEWEST_STEPS, _STEPS).astype(np.int64)
-    columns = steps, *_constants_of(rigs)
-    step, advance = rigs.crossing_time / steps, _advance_compiled()
-
-    def prepare_throw(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        _prepare(core, *(column[n] for column in columns))
-        waves = np.zeros((2, 4 * steps[n] + _SPARE_STEPS))
-        return waves, _STEP_COST / step[n]
-
-    return stepper.follow_batch(RECORD, advance, prepare_throw, values, until + step, cancelled)
-
-
-def warm_up() -> None:
-    """Compile or load all kernels that the twin needs."""
-    stepper.load_kernels(WaveStepper(Rig(), is_measured=True, field_points=2))
+    steps = 32 * np.ceil(np.minimum(stepper.needed_cells(rigs), _STEPS) / 32.0).astype(np.int64)
+    latest = until + rigs.crossing_time / steps
+    prepare = _preparer(rigs, steps)
+    return stepper.follow_batch(RECORD, _kernels()[0], prepare, rigs, latest, cancelled)

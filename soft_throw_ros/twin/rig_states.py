@@ -17,8 +17,8 @@ import math
 from typing import Any, TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.stepper import (
+    CAPACITY,
     Event,
     EventLimitError,
     PLATE_POSITION,
@@ -544,7 +544,7 @@ class MeasuredThrow(OngoingThrow):
         times, states = _joined(self._settled)
 
         def throw_field() -> ThrowField:
-            stepper, shown = stepper_of(config), slice(MAX_PIECES_AHEAD)
+            stepper, shown = stepper_of(config), slice(CAPACITY)
             stepper.append_plate_states(times[shown], states[shown])
             return throw_field_of(stepper, min(length, stepper.horizon), start_ns=start_ns)
 

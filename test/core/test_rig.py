@@ -43,7 +43,7 @@ def test_components_refuse_and_quote_bad_values(component, name, bad):
 
 
 @pytest.mark.parametrize(
-    ('loss', 'relaxed'), [('kelvin_voigt', 1.0), ('constant', relaxation(0.2).relaxed)]
+    ('loss', 'relaxed'), [('kelvin_voigt', 1.0), ('constant', relaxation(0.2)[0])]
 )
 def test_soft_thick_layer_rests_on_its_relaxed_modulus(loss, relaxed):
     rig = Rig(layer=Layer(thickness=0.05, wave_speed=3.0, loss_tangent=0.2, loss=loss))

@@ -16,9 +16,8 @@ from reference.cases import FREQUENCY, log_uniform, make_paper_rig, STRAINS
 from reference.method_of_steps import follow
 from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
-from soft_throw_ros.core.plate_kernels import MAX_PIECES_AHEAD
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import EventLimitError, PROJECTILE_VELOCITY, TIME
+from soft_throw_ros.core.stepper import CAPACITY, EventLimitError, PROJECTILE_VELOCITY, TIME
 from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.core.wave_stepper import WaveStepper
 
@@ -194,7 +193,7 @@ def test_fork_predicts_the_projectile_for_one_crossing(make):
 def test_plate_of_a_long_throw_is_discarded_before_the_next(make):
     model = make(is_measured=True)
     ahead, times = model.fork(), np.arange(0.0, 0.5, 1e-4)
-    assert times.size > MAX_PIECES_AHEAD + 2  # more than are kept
+    assert times.size > CAPACITY + 2  # more than are kept
     for batch in np.split(times, 50):
         model.append_plate_states(batch, plate_states(batch))
         model.advance_to(model.horizon)

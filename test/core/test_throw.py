@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from reference.cases import FREQUENCY, make_rig
 from soft_throw_ros.core import batch, simulate, throw_many
-from soft_throw_ros.core.cell_stepper import CellStepper, MAX_CELLS
+from soft_throw_ros.core.cell_stepper import CellStepper
 from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.stepper import Event, PROJECTILE_FORCE, PROJECTILE_POSITION
+from soft_throw_ros.core.stepper import CAPACITY, Event, PROJECTILE_FORCE, PROJECTILE_POSITION
 from soft_throw_ros.core.throw import ejections, HELD, REFUSED, RELEASED, rig_with
 
 TIMES = np.arange(0.0, 0.05, 2e-4)
@@ -87,9 +87,8 @@ def test_throw_without_a_release_raises_an_error():
     ('compute', 'rig', 'name', 'value'),
     [
         (simulate, Rig(), 'until', -1.0), (simulate, Rig(), 'cells', 64),
-        (throw_many, LOSSY, 'threads', 0), (throw_many, LOSSY, 'threads', 1.5),
         (throw_many, LOSSY, 'cells', 7),
-        (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', MAX_CELLS + 1),
+        (CellStepper, Rig(), 'cells', 0), (CellStepper, Rig(), 'cells', CAPACITY + 1),
         (CellStepper, Rig(), 'cells', 64.0),
     ],
 )
@@ -107,8 +106,9 @@ def test_no_bit_of_a_throw_depends_on_threads_or_on_other_throws(method):
         'thickness': random.uniform(5e-3, 0.03, count),
         'damping_ratio': random.uniform(0.0, 0.3, count),
     }
-    together = np.array(throw_many(rig, changes, threads=1))
-    assert together.tobytes() == np.array(throw_many(rig, changes, threads=3)).tobytes()
+    together = np.array(throw_many(rig, changes))
+    with batch.leave_processors(1 << 16):
+        assert together.tobytes() == np.array(throw_many(rig, changes)).tobytes()
     for i in range(0, count, count // 6):
         single = {name: np.ravel(item)[i % np.size(item)] for name, item in changes.items()}
         assert np.array_equal(np.array(throw_many(rig, single)), together[:, i], equal_nan=True)
@@ -212,7 +212,7 @@ def test_changes_agree_with_another_rig(rig):
 def test_batches_leave_processors_to_others_in_a_context_of_one_thread(monkeypatch):
     monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 2, 5})
     together = threading.Barrier(3)
-    batch.run_batches(lambda _: together.wait(timeout=60.0), np.arange(3), size=1, threads=None)
+    batch.run_batches(lambda _: together.wait(timeout=60.0), np.arange(3), size=1)
     with batch.leave_processors(1):
         assert batch.usable_processors() == 2
         with batch.leave_processors(5), ThreadPoolExecutor() as pool:

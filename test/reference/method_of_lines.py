@@ -4,7 +4,7 @@
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from soft_throw_ros.core.material import Relaxation, relaxation, RELAXATION_RATES
+from soft_throw_ros.core.material import relaxation, RELAXATION_RATES
 from soft_throw_ros.core.plate import Underdamped
 
 
@@ -17,9 +17,9 @@ def first_release(rig, *, cells):
     for sheet in layer.sheets:  # into cells of about one crossing time
         count = max(1, round(sheet.crossing_time / step))
         is_constant = sheet.loss == 'constant'
-        fit = relaxation(sheet.loss_tangent) if is_constant else Relaxation()
+        relaxed, *fit = relaxation(sheet.loss_tangent if is_constant else 0.0)
         lag = 0.0 if is_constant else sheet.loss_tangent / omega
-        moduli = [fit.relaxed, lag, *fit.strengths]
+        moduli = [relaxed, lag, *fit]
         column = sheet.thickness / count, sheet.mass / count, -sheet.static_strain(weight)
         columns += [(*column, *(sheet.youngs_modulus * sheet.section * x for x in moduli))] * count
     lengths, masses, rest_strain, spring, viscosity, *strengths = np.array(columns).T

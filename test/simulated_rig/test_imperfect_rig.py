@@ -9,7 +9,7 @@ import pytest
 from reference.method_of_steps import follow
 from soft_throw_ros.core.plate import Underdamped
 from soft_throw_ros.core.rig import Engine, Layer, Rig
-from soft_throw_ros.core.stepper import MAX_EVENTS
+from soft_throw_ros.core.stepper import CAPACITY
 from soft_throw_ros.simulated_rig.imperfect_rig import Deviations, Imperfections, throw
 
 
@@ -25,7 +25,7 @@ def test_perfect_rig_throws_as_by_the_method_of_steps():
 def test_projectile_that_chatters_on_a_stiff_layer_stays():
     rig = Rig(engine=Engine(frequency=1.0), layer=Layer(wave_speed=73.0), gravity=0.0)
     thrown = throw(rig, until=0.2)
-    assert len(thrown.events) >= MAX_EVENTS
+    assert len(thrown.events) >= CAPACITY
     assert thrown.projectile(0.2) == thrown.projectile(0.19)
 
 
