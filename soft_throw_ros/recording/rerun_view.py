@@ -11,7 +11,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
+from itertools import groupby
 import math
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -104,17 +106,20 @@ class Scene:
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
         waiting: dict[str, dict[Topic, list[Message]]] = defaultdict(lambda: defaultdict(list))
-        for message in messages:
-            node, topic = _drawn_topic(message.channel.topic, message.channel.type)
+        for channel, run in groupby(messages, itemgetter(0)):
+            node, topic = _drawn_topic(channel.topic, channel.type)
             if topic is None:
                 continue
             is_state = topic == TWIN_TOPICS.joint_states
-            back = self._twin(node).step_back(message) if is_state else 0
-            # Earlier messages belong to the former rig, or to the former repetition
-            if topic == TWIN_TOPICS.journal or back:
-                self._draw(node, waiting.pop(node, {}))
-                self._twin(node).canvas.delay += back  # draw a repetition after what is drawn
-            waiting[node][topic].append(message)
+            delay_of = self._twin(node).delay_of if is_state else lambda _: 0
+            for delay, batch in groupby(run, delay_of):
+                is_repetition = is_state and delay > self._twin(node).canvas.delay
+                # Earlier messages belong to the former rig, or to the former repetition
+                if is_repetition or topic == TWIN_TOPICS.journal:
+                    self._draw(node, waiting.pop(node, {}))
+                if is_repetition:
+                    self._twin(node).canvas.delay = delay
+                waiting[node][topic].extend(batch)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._draw(node, groups)
         if self._is_live:
@@ -178,6 +183,7 @@ class _TwinView:
         self._readers: dict[Channel, JointStateReader] = defaultdict(JointStateReader)
         self._node = node
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
+        self._delay = 0  # by which stamps have gone back so far [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
         self._present: set[str] = set()  # optional panels that are there
         self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
@@ -204,10 +210,12 @@ class _TwinView:
             present=self._present | ({layout.LOG} if log.is_drawn else set()),
         )
 
-    def step_back(self, state: Message) -> int:
-        """Return how far stamps go back to a state, as when a replay repeats a bag [ns]."""
+    def delay_of(self, state: Message) -> int:
+        """Return the delay by which a repetition, whose stamps go back, is drawn last [ns]."""
         last, self._newest = self._newest, stamp_of(state.data) or self._newest
-        return last - self._newest if last > self._newest + _STEP_BACK else 0
+        if last > self._newest + _STEP_BACK:
+            self._delay += last - self._newest
+        return self._delay
 
     def stamp_of(self, message: Message) -> int:
         """Return the stamp of a message without one [ns]."""
@@ -228,7 +236,7 @@ class _TwinView:
             return  # of another machine
         indices = [joints.names.index(name) if name in joints.names else -1 for name in names]
         for name, array in values.items():
-            values[name] = np.pad(array, ((0, 0), (0, 1)), constant_values=math.nan)[:, indices]
+            values[name] = np.where(np.array(indices) < 0, math.nan, array[:, indices])
         stamps = joints.stamps
         if topic == TWIN_TOPICS.measured_joint_states:
             if twin.rest_heights is None or twin.rig is None:

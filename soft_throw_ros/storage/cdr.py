@@ -35,9 +35,10 @@ class MessageError(ValueError):
 
 def stamp_of(data: bytes) -> int:
     """Return the stamp of a message that begins with a header; 0 if it is shorter [ns]."""
-    if len(data) < len(_HEADER) + _STAMP.size:
+    try:
+        seconds, nanoseconds = _STAMP.unpack_from(data, len(_HEADER))
+    except struct.error:
         return 0
-    seconds, nanoseconds = _STAMP.unpack_from(data, len(_HEADER))
     return int(seconds * SECOND + nanoseconds)
 
 
