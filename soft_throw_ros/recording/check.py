@@ -10,7 +10,7 @@ compared to the last bit. Other versions are refused, because they compute other
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -18,8 +18,8 @@ import numpy as np
 from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
 from soft_throw_ros.recording.twin_journal import DECODING_ERRORS
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
-from soft_throw_ros.storage.message import BagError, Message
+from soft_throw_ros.storage.cdr import decode, JointStateReader
+from soft_throw_ros.storage.message import BagError
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -36,21 +36,12 @@ class CheckError(BagError):
 
 
 @dataclass(kw_only=True)
-class Count:
-    """Numbers of outputs of one kind, by the outcome of the comparison [-]."""
-
-    same: int = 0
-    different: int = 0
-    missing: int = 0  # not in the bag
-
-
-@dataclass(kw_only=True)
 class CheckResult:
-    """Outcome of the comparison for a twin in a bag."""
+    """Outcome for a twin in a bag; it counts the `same`, `different` and `missing` outputs."""
 
     twin: str  # name of the node
-    states: Count = field(default_factory=Count)
-    results: Count = field(default_factory=Count)  # and checksums; missing lines of the journal
+    states: Counter[str] = field(default_factory=Counter)
+    results: Counter[str] = field(default_factory=Counter)  # and checksums; `missing` are lines
     differences: list[str] = field(default_factory=list)
     reason: str = ''  # why nothing was compared, if so
 
@@ -59,15 +50,15 @@ class CheckResult:
         """1 if anything is different, 2 if nothing was compared, else 0."""
         if self.differences:
             return 1
-        return 0 if self.results.same else 2
+        return 0 if self.results['same'] else 2
 
     def describe(self) -> str:
         """Return lines for people to read."""
         lines = [self.reason] if self.reason else []
         if self.differences or not self.reason:
             lines += [
-                f'{name}: {count.same} are the same to the last bit, {count.different} are '
-                f'different, {count.missing} {unit}are not in the bag'
+                f'{name}: {count["same"]} are the same to the last bit, {count["different"]} are '
+                f'different, {count["missing"]} {unit}are not in the bag'
                 for name, count, unit in (
                     ('states', self.states, ''),
                     ('results and checksums', self.results, 'lines of the journal '),
@@ -78,10 +69,9 @@ class CheckResult:
             lines.append(f'different: and {len(self.differences) - _SHOWN} more')
         return '\n'.join(lines)
 
-    def count(self, count: Count, where: str, difference: str) -> None:
+    def count(self, counts: Counter[str], where: str, difference: str) -> None:
         """Count a comparison, with a description of the difference if there is one."""
-        count.same += not difference
-        count.different += bool(difference)
+        counts['different' if difference else 'same'] += 1
         if difference:
             self.differences.append(f'{where}: {difference}')
 
@@ -112,7 +102,6 @@ class _Check:
         self._result = CheckResult(twin=node)
         self._states: dict[int, list[bytes]] = defaultdict(list)  # recorded ones by stamp [ns]
         self._unreadable: list[str] = []
-        self._is_repeated = False
 
     def run(self) -> CheckResult:
         """Repeat the journal, and return the result."""
@@ -121,20 +110,21 @@ class _Check:
         topic = TWIN_TOPICS.journal.at(self._node).name
         for message in self._reader.messages([topic], by_log_time=False):
             try:
-                entry = _entry(message)
-            except journal.JournalError as error:
+                entry = journal.decode(str(decode(message).data))
+                number = entry['line']
+            except DECODING_ERRORS as error:
                 if lines:  # else it may be of another program
                     result.differences.append(f'line {last + 1} is unreadable: {error!s:.200}')
                 continue
             if entry['kind'] == 'start':
                 last = -1
-            if last + 1 != entry['line'] or entry['kind'] == 'start':
-                result.results.missing += max(entry['line'] - last - 1, 0)
+            if last + 1 != number or entry['kind'] == 'start':
+                result.results['missing'] += max(number - last - 1, 0)
                 self._repeat_all(lines)
-            last = entry['line']
+            last = number
             lines.append(entry)
         self._repeat_all(lines)
-        if not self._is_repeated:
+        if not result.states:
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
             return result
         for difference in self._unreadable:
@@ -217,9 +207,8 @@ class _Check:
     def _compare_states(self, session: Session, outputs: Iterable[Outputs]) -> None:
         """Compare the recorded states of steps, all those of the same stamp, to the last bit."""
         for item in outputs:
-            self._is_repeated = True
             rows = self._states.get(session.due_ns(item.step), [])
-            self._result.states.missing += not rows
+            self._result.states['missing'] += not rows
             for row in rows:
                 difference = ''
                 if row != journal.STATE.pack(*item.state):
@@ -227,17 +216,6 @@ class _Check:
                     difference = _first_difference(recorded, item.state._asdict())
                     difference = difference or 'other bits of a value'
                 self._result.count(self._result.states, f'states: step {item.step}', difference)
-
-
-def _entry(message: Message) -> journal.Entry:
-    """Read a line of a journal; raise JournalError if it cannot be read, or has no number."""
-    try:
-        entry = journal.decode(str(decode(message).data))
-    except (MessageError, AttributeError) as error:
-        raise journal.JournalError(str(error)) from error
-    if 'line' not in entry:
-        raise journal.JournalError('it has no number')
-    return entry
 
 
 def _first_difference(recorded: Mapping[str, object], repeated: Mapping[str, object]) -> str:
