@@ -51,7 +51,6 @@ class Viewer(RunnableNode):
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
-        self.raw_subscriptions.discover()
         self.create_steady_timer(_DRAIN_PERIOD, self._drain)
         self.create_steady_timer(1.0, self._on_second)
 

@@ -28,7 +28,6 @@ MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come every second, after 5000 step
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
-_UNREPEATABLE = (RequestRejected, *DECODING_ERRORS)
 
 
 class CheckError(BagError):
@@ -56,13 +55,11 @@ class CheckResult:
         """Return lines for people to read."""
         lines = [self.reason] if self.reason else []
         if self.differences or not self.reason:
+            kinds = {'states': self.states, 'lines of the journal': self.results}
             lines += [
                 f'{name}: {count["same"]} are the same to the last bit, {count["different"]} are '
-                f'different, {count["missing"]} {unit}are not in the bag'
-                for name, count, unit in (
-                    ('states', self.states, ''),
-                    ('results and checksums', self.results, 'lines of the journal '),
-                )
+                f'different, {count["missing"]} are not in the bag'
+                for name, count in kinds.items()
             ]
         lines += [f'different: {sentence}' for sentence in self.differences[:_SHOWN]]
         if len(self.differences) > _SHOWN:
@@ -78,18 +75,12 @@ class CheckResult:
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
     """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
-    topics = [item for channel in reader.channels
-              if (item := find_topic(channel.topic, channel.type)) is not None]
-    nodes = dict.fromkeys(
-        node for node, topic in topics
-        if topic == TWIN_TOPICS.journal and (node, TWIN_TOPICS.joint_states) in topics
-    )
+    topics = dict.fromkeys(find_topic(item.topic, item.type) for item in reader.channels)
+    nodes = [item[0] for item in topics if item and item[1] == TWIN_TOPICS.journal
+             and (item[0], TWIN_TOPICS.joint_states) in topics]
     if not nodes:
-        raise CheckError(
-            f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.name[2:]} and '
-            f'{TWIN_TOPICS.joint_states.name[2:]} of a twin, and has '
-            f'{", ".join(item.topic for item in reader.channels) or "none"}'
-        )
+        names = ', '.join(item.topic for item in reader.channels) or 'none'
+        raise CheckError(f'{reader.path} has no journal and joint_states of a twin, only {names}')
     return [_Check(reader, node).run() for node in nodes]
 
 
@@ -101,7 +92,6 @@ class _Check:
         self._node = node
         self._result = CheckResult(twin=node)
         self._states: dict[int, list[bytes]] = defaultdict(list)  # recorded ones by stamp [ns]
-        self._unreadable: list[str] = []
 
     def run(self) -> CheckResult:
         """Repeat the journal, and return the result."""
@@ -116,19 +106,14 @@ class _Check:
                 if lines:  # else it may be of another program
                     result.differences.append(f'line {last + 1} is unreadable: {error!s:.200}')
                 continue
-            if entry['kind'] == 'start':
-                last = -1
             if last + 1 != number or entry['kind'] == 'start':
                 result.results['missing'] += max(number - last - 1, 0)
                 self._repeat_all(lines)
             last = number
             lines.append(entry)
         self._repeat_all(lines)
-        if not result.states:
+        if 'missing' not in result.states:  # which each repeated step counts
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
-            return result
-        for difference in self._unreadable:
-            result.count(result.states, 'states', difference)
         return result
 
     def _read_states(self) -> None:
@@ -139,7 +124,8 @@ class _Check:
                 state = np.array(series).reshape(len(State._fields))
                 self._states[int(stamp)].append(state.tobytes())
             except ValueError as error:
-                self._unreadable.append(f'a message is no state of the rig, {error!s:.200}')
+                difference = f'a message is no state of the rig, {error!s:.200}'
+                self._result.count(self._result.states, 'states', difference)
 
     def _repeat_all(self, lines: deque[journal.Entry]) -> None:
         """Repeat lines without a gap, from the next throw on if some cannot be repeated."""
@@ -153,10 +139,8 @@ class _Check:
                 for name, ours in journal.VERSIONS.items() if versions.get(name) != ours
             ]
             if others:
-                self._result.reason = (
-                    'not compared, because other versions compute other last bits: recorded with '
-                    + '; '.join(others)
-                )
+                reason = 'not compared, because other versions compute other last bits: recorded '
+                self._result.reason = f'{reason}with {"; ".join(others)}'
             else:
                 self._repeat(first, lines)
 
@@ -176,10 +160,7 @@ class _Check:
                 entry = lines.popleft()
                 line, distance = entry['line'], entry['step'] - session.step
                 if distance > MAX_STEPS_BETWEEN_LINES:
-                    raise journal.JournalError(
-                        f'it is {distance} steps after the one before, which is more than '
-                        f'{MAX_STEPS_BETWEEN_LINES}'
-                    )
+                    raise journal.JournalError(f'it is {distance} steps after the one before')
                 self._compare_states(session, session.follow(entry))
             for entry in tuple(expected):  # of the last step, or of the end of the session
                 if entry['kind'] == 'checksum':
@@ -188,7 +169,7 @@ class _Check:
                     self._compare_states(session, [session.advance()])
             if expected:
                 raise journal.JournalError(f'{expected[0]["kind"]} is not repeated')
-        except _UNREPEATABLE as error:
+        except (RequestRejected, *DECODING_ERRORS) as error:
             self._result.differences.append(f'line {line} cannot be repeated: {error!s:.300}')
 
     def _compare_lines(self, recorded: journal.Entry, repeated: journal.Entry) -> None:

@@ -75,6 +75,4 @@ def _path_of(type_name: str, folders: list[Path]) -> Path:
         path = folder / match[1] / 'msg' / f'{match[2]}.msg'
         if path.is_file():
             return path
-    raise SchemaError(
-        f'no definition of {type_name} in {", ".join(map(str, folders)) or "no folder at all"}'
-    )
+    raise SchemaError(f'no definition of {type_name} in {", ".join(map(str, folders))}')
