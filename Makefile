@@ -37,8 +37,9 @@ VIEWER_TESTS := $(addprefix test/,recording/test_rerun_viewer.py commands/test_i
 
 BIN := .venv/$(ROS_DISTRO)/bin
 KERNELS := .venv/.kernels
-LINT := .venv/jazzy/bin/ruff check && .venv/jazzy/bin/flake8 && .venv/jazzy/bin/mypy && \
-	.venv/jazzy/bin/lint-imports --no-logo
+# mypy has one process, which may take as long as all others.
+LINT := { .venv/jazzy/bin/mypy & types=$$!; .venv/jazzy/bin/ruff check && \
+	.venv/jazzy/bin/flake8 && .venv/jazzy/bin/lint-imports --no-logo && wait $$types; }
 WARM_UP := .venv/jazzy/bin/soft-throw warm_up
 # Install only packages with a checksum in the lock file, and fetch nothing else for builds.
 # Python compiles the modules that are used to bytecode; pip would compile all of them, in half of the time.

@@ -24,7 +24,7 @@ EXECUTABLES = {
     'recover': ('soft_throw_ros.commands.recover', 'repair a bag after a crash'),
     'replay': ('soft_throw_ros.nodes.replay', 'ROS 2 node: play a bag or check it'),
     'rig': ('soft_throw_ros.nodes.rig', 'ROS 2 node: simulate a rig with sensors'),
-    'throw': ('soft_throw_ros.commands.throw', 'predict a throw by several models'),
+    'throw': ('soft_throw_ros.commands.throw', 'predict one throw'),
     'track': ('soft_throw_ros.commands.track', 'extract tracks from a video'),
     'twin': ('soft_throw_ros.nodes.twin', 'ROS 2 node: twin of a throwing rig in real time'),
     'viewer': ('soft_throw_ros.nodes.viewer', 'ROS 2 node: show twins live in Rerun'),

@@ -3,6 +3,7 @@
 """Settings of all tests; those of nodes need ROS."""
 
 from collections.abc import Callable, Iterator
+import gc
 from importlib.util import find_spec
 import json
 from pathlib import Path
@@ -14,6 +15,7 @@ from hypothesis.internal.conjecture import providers
 import numpy as np
 import pytest
 
+gc.disable()  # while modules are imported
 pytest_plugins = ['ros_nodes'] if find_spec('rclpy') else []
 
 # Hypothesis draws constants from the local modules that happen to be imported. Examples would then
@@ -39,6 +41,12 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> Iterator[N
     """Keep tests from the collector of doctests, which skips a file that it cannot import."""
     collectors = yield
     return [item for item in collectors if type(item).__name__ != 'DoctestModule']
+
+
+def pytest_collection_finish() -> None:
+    """Leave all imported modules out of later garbage collections, of which some are requested."""
+    gc.enable()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

@@ -20,6 +20,7 @@ import soft_throw_ros
 from soft_throw_ros.__main__ import EXECUTABLES
 from soft_throw_ros.configuration.interface import INTERFACES
 
+pytestmark = pytest.mark.timeout(300)
 ROOT = Path(__file__).parents[1]
 
 
@@ -55,7 +56,7 @@ def run(*command, cwd, **environment):
     variables = {name: os.environ[name] for name in os.environ if name != 'PYTHONPATH'}
     result = subprocess.run(
         list(map(str, command)), cwd=cwd, env=variables | environment, capture_output=True,
-        check=False, text=True, timeout=110,
+        check=False, text=True, timeout=250,
     )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout

@@ -23,7 +23,7 @@ pytest.importorskip('matplotlib', reason='the extra [plot]')
 sys.path.append(str(Path(__file__).parents[1] / 'docs' / 'paper'))  # it is not installed
 
 import comparison  # noqa: E402, I100
-from models import best_ratios, SERIES  # noqa: E402
+from models import SERIES  # noqa: E402
 
 
 def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
@@ -33,33 +33,6 @@ def test_nothing_in_the_map_is_above_the_optimum_of_section_3():
     highest = np.argmax(alphas)
     assert 4.12 < alphas.flat[highest] < 4.123215
     assert (x.flat[highest], c.flat[highest]) == pytest.approx((0.8102, 6.678), abs=0.05)
-
-
-# Computed with 40-digit closed forms, checked by a second method
-@pytest.mark.parametrize(
-    ('damping_ratio', 'mass_ratio', 'speed_ratio', 'ejection_phase', 'energy_transfer'),
-    [
-        (0.064, 0.25539654358484, 8.57592091835, 0.3866752089467103, 4.1428974402270375),
-        (0.2, 0.29513187784084, 9.2434758430532, 0.3633656659293691, 4.185169858004478),
-    ],
-)
-def test_best_ratios_are_exact(
-    damping_ratio, mass_ratio, speed_ratio, ejection_phase, energy_transfer
-):
-    best = best_ratios(damping_ratio)
-    assert best.mass_ratio == pytest.approx(mass_ratio, rel=1e-4)
-    assert best.speed_ratio == pytest.approx(speed_ratio, rel=1e-4)
-    assert best.ejection_phase == pytest.approx(ejection_phase, rel=1e-4)
-    assert best.energy_transfer == pytest.approx(energy_transfer, rel=1e-9)
-
-
-def test_ejection_time_jumps_where_it_passes_an_odd_crossing():
-    # Fig. 5: a jump from 3 t_s at x = 1, between C = 7.919 and 7.921
-    below, above = (
-        first_releases(mass_ratio=0.02, speed_ratio=kappa) for kappa in (7.919214712, 7.920798713)
-    )
-    assert below.ejection_phase * 7.919214712 == pytest.approx(3.0, abs=1e-3)
-    assert above.ejection_phase * 7.920798713 > 3.02
 
 
 def test_without_a_layer_the_plate_throws_alone():

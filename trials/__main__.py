@@ -3,10 +3,11 @@
 """
 Identify random simulated rigs with known parameters and the faults of real measurements.
 
-The simulation, on small cells with large strain, shares no code with the fitted model. The output
-is a Markdown table with a row per fault: the numbers of trials that were refused, warned about, or
-silently wrong (a result off by more than 5 standard errors without a warning), and the fractions
-of 95 % intervals that contain the true value. The same seed gives the same table.
+The steppers of the twin throw; faults of plate and sensors, which the fitted model lacks, are
+added. The output is a Markdown table with a row per fault: the numbers of trials that were
+refused, warned about, or silently wrong (a result off by more than 5 standard errors without a
+warning), and the fractions of 95 % intervals that contain the true value. The same seed gives the
+same table.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs on a bench that only exists here: random ones, thrown with, and measured with faults."""
+"""Random rigs on a simulated bench: their throws, and measurements of these with faults."""
 
 from __future__ import annotations
 

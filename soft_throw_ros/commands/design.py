@@ -114,7 +114,11 @@ def _columns(best: RequestResult) -> dict[str, Mapping[str, Any]]:
         return {'now': now, 'aimed': vars(best)}
     alternatives = {name: getattr(best, name, None) for name in ('by_thickness', 'by_wave_speed')}
     others = {name: vars(throw) for name, throw in alternatives.items() if throw}
-    return {'now': now, 'recommended': vars(best), **others}
+    values: dict[str, dict[str, Any]] = {'now': dict(now), 'recommended': {}}
+    for name, value in vars(best).items():  # the score of the present rig is `now_score`
+        of_present = name.startswith('now_')
+        values['now' if of_present else 'recommended'][name.removeprefix('now_')] = value
+    return {**values, **others}
 
 
 def _design_motion(arguments: argparse.Namespace) -> int:

@@ -65,7 +65,7 @@ def main(args: list[str] | None = None) -> int:
         epilog='A CSV file has a time [s] in its first column, and the heights of plate and '
         'projectile in the next ones; a first line may name them. Without a projectile only the '
         'engine is found. soft-throw track makes such files of videos. A parameter of the rig may '
-        "have an error, as in '--mass 0.0012+-1%%'; the fit then finds it, too.",
+        "have an error, as in '--mass 0.0012+-1%'; the fit then finds it, too.",
     )
     add = parser.add_argument
     add('files', metavar='FILE', nargs='+', help='tracks of throws: CSV files, or bags')
@@ -158,6 +158,8 @@ def _describe_fit(arguments: argparse.Namespace) -> FitDescription:
         description = description.change(dict.fromkeys(arguments.hold, FIXED))
     except ValueError as error:
         raise ValueError(f'argument --hold: {error}') from None
+    if both := known.keys() & arguments.hold:
+        raise ValueError(f'argument --hold: {min(both)} is certain, and must have no error')
     return description.change(known)
 
 

@@ -162,7 +162,7 @@ def fit_rows(result: RigFit) -> Iterator[Row]:
     for name, estimate in result.estimates().items():
         if name == 'layer.wave_speed':
             yield Row.of(name, estimate, f'at the amplitude of {amplitude:.3g} mm')
-            note = 'softer if the layer stiffens; identify a throw of half the amplitude alone'
+            note = 'lower if the layer stiffens; identify a throw of half the amplitude alone'
             yield Row.of(REST_WAVE_SPEED, result.rest_wave_speed(), note)
         else:
             yield Row.of(name, estimate)

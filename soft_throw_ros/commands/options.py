@@ -133,7 +133,8 @@ def read_settings(arguments: argparse.Namespace) -> dict[str, Value]:
 
 def argument_of(arguments: argparse.Namespace, name: str) -> str:
     """Return the argument that has set a parameter, for messages."""
-    option = '-p' if name in getattr(arguments, _NAMED, ()) else option_of(name)
+    named = name in getattr(arguments, _NAMED, ())
+    option = '-p' if named else option_of(name.removesuffix('_file'))  # of --motion FILE
     return f'argument {option}'
 
 

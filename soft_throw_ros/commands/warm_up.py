@@ -23,7 +23,7 @@ from soft_throw_ros.commands.output import CommandParser, print_lines, run_comma
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import cell_stepper, plate_kernels, wave_stepper
 from soft_throw_ros.design.recommendation import solve_request
-from soft_throw_ros.twin import plate_observer, sample_buffer
+from soft_throw_ros.twin import plate_monitor, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
 
 _SOURCES = (  # of kernels
@@ -41,7 +41,9 @@ def _step(stepper: ModuleType, loss_tangent: float) -> None:
 PARTS: dict[str, Callable[[], object]] = {
     'travelling_wave': lambda: _step(wave_stepper, 0.0),
     'design': lambda: solve_request(TWIN.defaults()),
-    'measured': lambda: [module.warm_up() for module in (sample_buffer, plate_observer)],
+    'measured': lambda: [
+        module.warm_up() for module in (sample_buffer, plate_monitor, plate_observer)
+    ],
     'cells': lambda: _step(cell_stepper, 0.1),
 }
 """Parts to compile, in order, each with a function that runs its kernels once."""

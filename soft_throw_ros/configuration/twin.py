@@ -230,7 +230,7 @@ def _engine(settings: Settings, motion_of: motions.MotionSource) -> Engine:
     if kind == 'harmonic':
         return replace(engine, damping_ratio=0.0)
     if kind == 'file' and not path:
-        rule = f"needs {motions.PARAMETER} (--motion-file), got ''"
+        rule = f"needs {motions.PARAMETER}, got ''"
         raise ParameterError(f"engine.motion 'file' {rule}", motions.PARAMETER)
     return replace(engine, motion=motion_of(path)) if path and kind != 'underdamped' else engine
 

@@ -10,6 +10,7 @@ import math
 from typing import cast, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.configuration import motions
 from soft_throw_ros.configuration.table import Settings
 from soft_throw_ros.configuration.twin import rig_of, RIG_PARAMETERS
@@ -51,10 +52,18 @@ class MeasurementConfig:
         return _START_SPEED * self.plate.peak_velocity
 
     @cached_property
+    def start_table(self) -> NDArray[np.float64]:
+        """Times [s], heights [m] and velocities [m/s] of the expected motion, in rows."""
+        end = self.motion.peak_velocity_time + self.smoothing_window
+        times = np.linspace(0.0, end, 1024)
+        height, velocity, _ = self.motion.states_at(times).T
+        return np.stack((times, height, velocity))
+
+    @cached_property
     def rise_time(self) -> float:
         """Time from the start of the expected motion until it has the speed of a start [s]."""
-        times = np.linspace(0.0, self.motion.peak_velocity_time, 1024)
-        return float(times[(np.abs(self.motion.velocity(times)) >= self.start_speed).argmax()])
+        times, _, velocity = self.start_table
+        return float(times[(np.abs(velocity) >= self.start_speed).argmax()])
 
     @cached_property
     def direction(self) -> float:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Treatments of the parameters of a fit: free, fixed or known with an error.
+The parameters of a fit: which are free, fixed, or known with an error.
 
-Command line, YAML file and Python share them.
+Command line, YAML file and Python share this description.
 """
 
 from __future__ import annotations

@@ -144,8 +144,7 @@ def throw_result_to_msg(
 ) -> DiagnosticStatus:
     """Create a status from the result of a throw, its rig, and additional values."""
     values = {**result.values(), **additional, **rig_values(result.rig)}
-    is_clean = result.accuracy is None or result.accuracy.is_clean
-    is_bad = not (result.is_linear and result.is_valid and is_clean)
+    is_bad = not (result.is_linear and result.is_valid)
     return status_to_msg(node_name, 'throw', throw_text(result), values, warn=is_bad)
 
 
@@ -247,9 +246,6 @@ def throw_text(result: ThrowResult) -> str:
     if not result.is_linear:
         strain, limit = 100.0 * result.peak_strain, 100.0 * result.max_strain
         text += f'; strain {strain:.1f} % exceeds the linear range of {limit:.3g} %'
-    if result.accuracy is not None and not result.accuracy.is_clean:
-        outliers, samples = result.accuracy.samples_left_out, result.accuracy.samples
-        text += f'; {outliers} of {samples} plate samples were rejected as outliers'
     return text
 
 

@@ -128,7 +128,7 @@ class SensorClock:
             self.offset_ns = least_ns
             self.problem = (
                 f'stamps of the samples are {1e3 * size:.1f} ms {side} the clock of the twin, '
-                'which is taken off'
+                'which corrects them'
             )
 
 

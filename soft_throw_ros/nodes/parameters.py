@@ -92,10 +92,10 @@ class NodeParameters:
                 passed.append(parameter)
             elif entry is not None and (entry.is_result or entry.is_fixed):
                 present = {**self.settings, **self._results}.get(name, entry.default)
-                if repr(value) != repr(present):  # which may be set, so that a dump loads
+                if str(value) != str(present):  # which may be set, so that a dump loads
                     setter = 'set by the twin' if entry.is_result else 'set at the start'
                     raise ParameterError(f'{name} is read-only, {setter}; got {quote(value)}')
-                passed.append(parameter)
+                passed.append(Parameter(name, value=present))
             else:
                 request[name] = value
         changes = self._table.change(self.settings, request)

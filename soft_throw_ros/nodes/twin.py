@@ -257,8 +257,8 @@ class Twin(RealTimeNode):
         """Publish the diagnostics."""
         super().on_second()
         self._run_jobs()  # in case a wake-up was lost
-        for fault in self.session.diagnose_sensors():
-            self.get_logger().warning(fault)
+        if fault := self.session.diagnose_sensor():
+            self.get_logger().warning(fault, once=True)
         name = self.get_fully_qualified_name()
         if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
             self.get_logger().error(

@@ -24,7 +24,7 @@ from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session
 
-MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come every second, after 5000 steps at most [-]
+MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come ten times a second, after 500 steps [-]
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one

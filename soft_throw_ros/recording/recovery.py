@@ -11,6 +11,7 @@ import shutil
 from typing import NamedTuple
 
 from mcap import records as mcap
+from mcap.exceptions import EndOfFile
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.bag_folder import BagFolder, check_not_written
 from soft_throw_ros.storage.bag_reader import open_mcap, read_records
@@ -67,6 +68,7 @@ def _copy(path: Path, writer: BagWriter) -> str:
             raise BagError(f'{path}: {error}') from None
         except Exception as error:  # noqa: BLE001  damaged bytes may cause any
             if end < size:  # else only the end of the file is missing
-                reason = str(error) or type(error).__name__
+                cut = 'the file is cut off' if isinstance(error, EndOfFile) else ''
+                reason = cut or str(error) or type(error).__name__
                 return f'{path}: the last {size - end} of {size} bytes, {reason:.200}'
     return ''

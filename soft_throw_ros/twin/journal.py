@@ -13,12 +13,12 @@ start         `settings`, `versions`, `motions` (of files, by their paths); it b
 throw         the same, `throw` (its number), `pending` (changes that wait) and `schedule`, the
               fields of a `TickSchedule`, by which steps are due; a throw starts, and if the plate
               is measured, `onset`: how that was seen
-samples       `count` and `data`, see `encode_samples`: taken before this step, or others
+samples       those taken before this step, or others, see `encode_samples`
 input         `input`: 'throw', 'reset', or 'parameters' with their `values` and `motions`
 tick_schedule `schedule`: from `step` on, steps are due by this
 result        `result`: the values of a `ThrowResult`, where None is infinite
 checksum      `first`, `states`, `fields`: CRC-32 of the output of the steps from `first` to before
-              `step`, for at most a second, and from the start of a throw on
+              `step`, for at most 0.1 s, and from the start of a throw on
 ============= ================================================================================
 
 All but the last two repeat a run; the last two show whether it is the same. Numbers have all
@@ -58,15 +58,10 @@ VERSIONS: Mapping[str, str] = {
 """Versions of the software that determine the last digits of a run."""
 
 BATCH_TIME = 0.1
-"""Time of the clock whose samples are written in one entry. [s]"""
-
-CHECKSUM_TIME = 1.0
-"""Time of the clock from one checksum to the next. [s]"""
+"""Time of the clock from one checksum and entry of samples to the next. [s]"""
 
 STATE = struct.Struct(f'<{len(State._fields)}d')
 """Binary form of a state for checksums: its numbers in order, 8 bytes each, little endian."""
-
-_SAMPLE = np.dtype([('step', '<i8'), ('stamp_ns', '<i8'), ('heights', '<f8', (2,))])
 
 _TYPES = {'kind': str, 'line': int, 'step': int, 'throw': int, 'versions': dict, 'result': dict}
 
@@ -102,27 +97,33 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     """
     Encode batches of samples for an entry, each with the step that followed it.
 
-    `data` contains the step, the stamp and both heights of each sample, 8 bytes each, little
-    endian, compressed by zlib, in base 64.
+    Both texts are in base 64, of numbers of 8 bytes, little endian: `times` has the steps of all
+    samples and then their stamps, as differences from the last one, compressed by zlib; `heights`
+    has those of plate and projectile, whose noise cannot be compressed.
     """
     sizes = [len(samples) for _, samples in batches]
-    rows = np.empty(sum(sizes), _SAMPLE)
+    times, heights = np.zeros((2, sum(sizes)), '<i8'), b''
     if batches:
-        rows['step'] = np.repeat([step for step, _ in batches], sizes)
-        rows['stamp_ns'] = np.concatenate([samples.stamps for _, samples in batches])
-        rows['heights'] = np.concatenate([samples.heights for _, samples in batches])
-    content = zlib.compress(rows.tobytes(), 1)
-    return {'count': len(rows), 'data': base64.b64encode(content).decode()}
+        times[0] = np.repeat([step for step, _ in batches], sizes)
+        times[1] = np.concatenate([samples.stamps for _, samples in batches])
+        heights = np.concatenate([samples.heights for _, samples in batches]).tobytes()
+    times[:, 1:] -= times[:, :-1].copy()
+    return {
+        'count': sum(sizes),
+        'times': base64.b64encode(zlib.compress(times.tobytes(), 1)).decode(),
+        'heights': base64.b64encode(heights).decode(),
+    }
 
 
 def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
     """Decode the samples of an entry, in batches with the step that followed each."""
-    content = zlib.decompress(base64.b64decode(entry['data']))
-    rows = np.frombuffer(content, _SAMPLE, entry['count'])
+    times = np.frombuffer(zlib.decompress(base64.b64decode(entry['times'])), '<i8')
+    steps, stamps = times.reshape(2, entry['count']).cumsum(axis=1)
+    heights = np.frombuffer(base64.b64decode(entry['heights']), '<f8').reshape(-1, 2)
     return [
-        (int(batch['step'][0]), Samples(batch['stamp_ns'].copy(), batch['heights'].copy()))
-        for batch in np.split(rows, np.flatnonzero(np.diff(rows['step'])) + 1)
-        if len(batch)
+        (int(steps[batch[0]]), Samples(stamps[batch], heights[batch]))
+        for batch in np.split(np.arange(steps.size), np.flatnonzero(np.diff(steps)) + 1)
+        if batch.size
     ]
 
 
@@ -159,7 +160,6 @@ class JournalWriter:
         self._on_line = on_line
         self._line = 0
         self._batches: list[tuple[int, Samples]] = []
-        self._last_flush_step = step
         self._begin_checksum(step)
 
     def write(self, kind: str, step: int, **values: object) -> None:
@@ -196,9 +196,9 @@ class JournalWriter:
         for array in outputs.layer or ():
             checksum['fields'] = crc32(array.data, checksum['fields'])
         following = outputs.step + 1
-        if is_measured and following - self._last_flush_step > BATCH_TIME * rate:
-            self._flush(following)  # also without samples, as a sign of life
-        if following - checksum['first'] >= CHECKSUM_TIME * rate:
+        if following - checksum['first'] >= BATCH_TIME * rate:
+            if is_measured:
+                self._flush(following)  # also without samples, as a sign of life
             self._write_checksum(following)
 
     def close(self, step: int) -> None:
@@ -220,5 +220,4 @@ class JournalWriter:
     def _flush(self, step: int) -> None:
         """Write the stored samples."""
         batches, self._batches = self._batches, []
-        self._last_flush_step = step
         self.write('samples', step, **encode_samples(batches))

@@ -32,8 +32,8 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,12 +91,20 @@ STEP = np.dtype(
 """Record of a step of the filter, for the smoother."""
 
 
-class ReleaseResponse(NamedTuple):
+@dataclass
+class ReleaseResponse:
     """Changes of a throw by a change of the velocity of the plate by 1 m/s at a time."""
 
     times: Floats  # since the start, shape (n,) [s]
     changes: Floats  # of speed [m/s] and time [s] of the release, and peak speed [m/s]; (3, n)
     release_time: float  # expected, 0 for none [s]
+
+    def __post_init__(self) -> None:
+        """Integrate over time from each time to the last."""
+        strips = 0.5 * np.diff(self.times, append=self.times[-1])
+        # variances by later accelerations, over their density
+        self.later = _integrals(strips, self.changes**2)
+        self.total = _integrals(strips, self.changes)[:, 0]
 
 
 def pulse_of(motion: PlateMotion, since: Floats) -> Floats:
@@ -152,14 +160,8 @@ def _predict(s: Record, time: float, axis: Floats, changes: Floats) -> None:
 
 @kernel
 def _filter(
-    memory: NDArray[np.void],
-    times: Floats,
-    heights: Floats,
-    errors: Floats,
-    stamp_error: float,
-    axis: Floats,
-    changes: Floats,
-    steps: NDArray[np.void],
+    memory: NDArray[np.void], times: Floats, heights: Floats, errors: Floats, stamp_error: float,
+    axis: Floats, changes: Floats, steps: NDArray[np.void],
 ) -> None:
     """Go on to each time, and take the measured height there, unless it is NaN."""
     s = memory[0]
@@ -187,21 +189,11 @@ def _filter(
 
 @kernel
 def _follow(
-    memory: NDArray[np.void],
-    steps: NDArray[np.void],
-    spacing: float,
-    age: float,
-    ahead: Floats,
-    times: Floats,
-    states: Floats,
-) -> tuple[int, int]:
-    """
-    Write smoothed states about a spacing apart, and the continuation at the times `ahead`.
-
-    Return their number, and that of the settled ones, which are older than an age; remove the
-    steps of these.
-    """
+    memory: NDArray[np.void], steps: NDArray[np.void], spacing: float, age: float, ahead: Floats
+) -> tuple[Floats, Floats, int]:
+    """Return what `PlateObserver.motion` does; remove the steps of settled states."""
     s, count, settled, last = memory[0], 0, 0, memory[0].settled
+    times, states = np.empty(s.steps + ahead.size), np.empty((s.steps + ahead.size, 3))
     smoothed = _smooth(s, steps)
     for n in range(s.steps):
         time = steps[n].time
@@ -229,7 +221,7 @@ def _follow(
             steps[kept] = steps[n]
             kept += 1
     s.steps = kept
-    return count, settled
+    return times[:count], states[:count], settled
 
 
 @subroutine
@@ -254,9 +246,9 @@ def _smooth(s: Record, steps: NDArray[np.void]) -> Floats:
     return states
 
 
-def _integrals_from(times: Floats, rows: Floats) -> Floats:
-    """Return the integrals of rows over time from each time to the last."""
-    strips = 0.5 * np.diff(times, append=times[-1]) * (rows + np.roll(rows, -1, axis=1))
+def _integrals(strips: Floats, rows: Floats) -> Floats:
+    """Return the integrals of rows from each time to the last, with half of the spacings."""
+    strips = strips * (rows + np.roll(rows, -1, axis=1))
     return np.flip(np.flip(strips, axis=1).cumsum(axis=1), axis=1)
 
 
@@ -286,22 +278,21 @@ class PlateObserver:
         memory['unmodelled'] = (relative * plate.peak_velocity) ** 2 * omega
         memory['ratio'] = _FIRST_RATIO
         memory['settled'] = -1.0
-        variances = np.square(
-            [onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude]
-        )
-        times, changes, _ = response
-        # variances of the release by later accelerations, over their density
-        self._later = _integrals_from(times, changes**2)
+        deviations = onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude
+        variances = np.square(deviations)
         # by height, velocity and amplitude at the start: (D1) has the difference of two of them
-        by_amplitude = memory['omega'] ** 2 * _integrals_from(times, changes)[:, 0]
-        by_state = np.stack((-by_amplitude, changes[:, 0], by_amplitude))
-        memory['covariance'] = np.hstack((np.diag(variances), variances[:, None] * by_state))
+        by_amplitude = memory['omega'] ** 2 * response.total
+        by_state = np.array([-by_amplitude, response.changes[:, 0], by_amplitude])
+        np.fill_diagonal(memory['covariance'][0], variances)
+        memory['covariance'][0, :, 3:] = variances[:, None] * by_state
         memory['release'] = variances @ by_state**2
         self._present = memory[0]
         self._steps = np.zeros(128, STEP)  # of the filter, which grow
         self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
         none = np.full(1, np.nan)  # no height at the start
-        _filter(memory, np.zeros(1), none, none, 0.0, times, changes, self._steps)
+        _filter(
+            memory, np.zeros(1), none, none, 0.0, response.times, response.changes, self._steps
+        )
 
     @property
     def newest(self) -> float:
@@ -339,24 +330,21 @@ class PlateObserver:
         window, newest = self._config.smoothing_window, self.newest
         count = max(math.ceil((until - newest) / (_SPACING * window)), 0)
         ahead = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
-        size = int(self._present['steps']) + count
-        times, states = np.empty(size), np.empty((size, 3))
-        count, settled = _follow(
-            self._memory, self._steps, self._spacing, _SETTLED * window, ahead, times, states
+        times, states, settled = _follow(
+            self._memory, self._steps, self._spacing, _SETTLED * window, ahead
         )
-        times, states = times[:count], states[:count]
         if self._command is not None:
             states += self._command.states_at(times)
-        if count and times[0] == 0.0:
+        if times.size and times[0] == 0.0:
             # an onset that is too early must not pull the layer down
             states[0, 1] = max(states[0, 1], 0.0)
         return times, states, settled
 
     def errors(self) -> tuple[float, float, float]:
         """Return the standard errors of speed and time of the release, and of the peak speed."""
-        present, times = self._present, self._response.times
+        present, response = self._present, self._response
         ratio = max(1.0, float(present['ratio']))  # larger errors if more than the noise acts
-        later = [np.interp(self.newest, times, row) for row in self._later]
+        later = [np.interp(self.newest, response.times, row) for row in response.later]
         density = float(present['unmodelled']) * ratio**2
         variances = ratio * (present['release'] + density * np.array(later))
         speed_error, time_error, peak_error = np.sqrt(variances).tolist()
@@ -367,4 +355,4 @@ def warm_up() -> None:
     """Compile or load the kernels."""
     memory, steps, one = np.zeros(1, _MEMORY), np.zeros(1, STEP), np.ones(1)
     _filter(memory, one, one, one, 0.0, one, np.ones((3, 1)), steps)
-    _follow(memory, steps, 0.0, 0.0, np.empty(0), np.empty(1), np.empty((1, 3)))
+    _follow(memory, steps, 0.0, 0.0, np.empty(0))

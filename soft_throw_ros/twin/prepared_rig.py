@@ -26,11 +26,8 @@ from soft_throw_ros.core.throw import make_stepper
 from soft_throw_ros.twin.plate_observer import pulse_of, ReleaseResponse
 from soft_throw_ros.twin.results import LayerState, State, ThrowField
 
-THROW_FIELD_ROWS = 200
-"""Times of the field of a throw. [-]"""
-
-_ROWS_PER_ENERGY = 4
-"""Rows of the field for each row of energies, since a row of energies takes 5 us. [-]"""
+_ROWS = 200
+"""Times in a throw with the field, the energies, or the answer of the release to a pulse. [-]"""
 
 THROW_FIELD_LENGTH = 1.5
 """Duration of the field of a throw, in ejection times. [-]"""
@@ -52,15 +49,6 @@ _REST = 1e-7
 _PULSE = 1e-6
 """Jump of the plate's velocity, so small that the layer is linear and stays compressed. [m/s]"""
 
-_CONTACT_GRAVITY = 9.81
-"""Least gravity that holds the projectile on the layer after `_PULSE`. [m/s2]"""
-
-_ANSWERS = 128
-"""Times in a throw at which the answer to `_PULSE` is known. [-]"""
-
-_NEAR = 0.01
-"""Time before the release at which the force shows its rate, over the ejection time. [-]"""
-
 _WAITING = frozenset(
     entry.name
     for entry in TWIN.entries
@@ -80,8 +68,7 @@ class PreparedRig:
     rest_layer: LayerState
     peak_plate_speed: float  # by the engine [m/s]
     throw_field: ThrowField | None  # None if the plate is measured
-    fork: Stepper | None  # of the stepper, with a measured plate
-    release_response: ReleaseResponse | None  # likewise
+    ahead: tuple[Stepper, ReleaseResponse] | None  # a fork of the stepper, with a measured plate
 
     @property
     def rig(self) -> Rig:
@@ -92,11 +79,6 @@ class PreparedRig:
     def tick(self) -> float:
         """Time of the rig in one step [s]."""
         return self.config.time_scale / self.config.state_rate
-
-    @cached_property
-    def settling_time(self) -> float:
-        """Longer period of plate and projectile, for which a throw at rest has been slow [s]."""
-        return 1.0 / min(self.rig.engine.frequency, self.rig.natural_frequency)
 
     def period_ticks(self, period: float) -> int:
         """Return the steps from one throw to the next: at least one to throw, one to return."""
@@ -120,12 +102,11 @@ def layer_of(stepper: Stepper) -> LayerState:
 
 def throw_field_of(stepper: Stepper, length: float, *, start_ns: int = 0) -> ThrowField:
     """Return the strain of the layer and the energies over a time [s] from the start on."""
-    times = np.linspace(0.0, length, THROW_FIELD_ROWS)
-    strain = np.empty((THROW_FIELD_ROWS, FIELD_POINTS))
+    times = np.linspace(0.0, length, _ROWS)
+    strain = np.empty((_ROWS, FIELD_POINTS))
     rig, energies = stepper.rig, []
     for row, time in enumerate(times.tolist()):
-        events = stepper.advance_to(time)
-        if not events and row % _ROWS_PER_ENERGY == 0:
+        if not stepper.advance_to(time):
             state, total = state_of(stepper), stepper.stored_energy()
             rise = state.projectile_position - rig.rest_height
             per_mass = 0.5 * state.projectile_velocity**2 + rig.gravity * rise
@@ -151,12 +132,12 @@ def _release_response(config: TwinConfig) -> ReleaseResponse:
     nominal = make_stepper(rig, is_measured=False)
     release = _first_release(nominal)
     end = 0.5 / rig.engine.frequency if release is None else release.time
+    since = np.linspace(0.0, end, _ROWS)
     nominal.reset()
-    nominal.advance_to((1.0 - _NEAR) * end)
-    force_rate = nominal.state[PROJECTILE_FORCE] / (_NEAR * end)
-    in_contact = dataclasses.replace(rig, gravity=max(rig.gravity, _CONTACT_GRAVITY))
+    nominal.advance_to(since[-2])
+    force_rate = nominal.state[PROJECTILE_FORCE] / (end - since[-2])
+    in_contact = dataclasses.replace(rig, gravity=max(rig.gravity, Rig().gravity))
     stepper = make_stepper(in_contact, is_measured=True)
-    since = np.linspace(0.0, end, _ANSWERS)
     times = np.append(since, 2.0 * end)  # cells go on to the end of their step
     stepper.append_plate_states(times, _PULSE * pulse_of(motion, times))
     speeds = []
@@ -165,7 +146,7 @@ def _release_response(config: TwinConfig) -> ReleaseResponse:
         speeds.append(stepper.state[PROJECTILE_VELOCITY] / _PULSE)
     delays = rig.projectile.mass / force_rate * np.gradient(speeds, since)
     peak_time = motion.peak_velocity_time
-    times = np.linspace(0.0, max(end, peak_time), _ANSWERS)
+    times = np.linspace(0.0, max(end, peak_time), _ROWS)
     rows = [np.interp(end - times, since, row, left=0.0) for row in (speeds, delays)]
     peak = np.where(times < peak_time, pulse_of(motion, peak_time - times)[:, 1], 0.0)
     expected = 0.0 if release is None else release.time
@@ -196,10 +177,10 @@ def prepare(
     if before is not None and waiting_values(settings) == waiting_values(before.config.settings):
         return dataclasses.replace(before, config=config)
     stepper = stepper_of(config)
-    throw_field = fork = response = None
+    throw_field = ahead = None
     if config.is_measured:
         _require_time(config, stepper)
-        fork, response = stepper.fork(), _release_response(config)
+        ahead = stepper.fork(), _release_response(config)
     else:
         release = _first_release(stepper)
         length = THROW_FIELD_LENGTH * (release.time if release else config.rig.longest_wait)
@@ -215,8 +196,7 @@ def prepare(
         rest_layer=layer_of(stepper),
         peak_plate_speed=motion_of_engine(config.rig.engine).peak_velocity,
         throw_field=throw_field,
-        fork=fork,
-        release_response=response,
+        ahead=ahead,
     )
 
 

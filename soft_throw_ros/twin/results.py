@@ -18,9 +18,6 @@ from soft_throw_ros.core.stepper import Event
 
 Floats = NDArray[np.float64]
 
-MOST_LEFT_OUT = 0.05
-"""Largest share of outliers among the samples without a warning. [-]"""
-
 INVALID_ENDS = ('gap', 'noise')
 """Values of `ThrowResult.ended_by` of throws that could not be followed."""
 
@@ -89,19 +86,12 @@ class Release:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """
-    A throw of the model compared with the samples, until a plate period after the release.
-
-    The errors are model minus measurement, for the time and the speed at the height of the
-    release; None if the projectile was not measured for long enough.
-    """
+    """A throw of the model compared with the samples, until a plate period after the release."""
 
     samples: int  # of the projectile, that were compared
     position_rms: float  # of the differences of its position [m]
     position_max: float  # [m]
     threshold: float  # upper bound of a normal `position_rms` [m]
-    ejection_time_error: float | None = None  # [s]
-    ejection_speed_error: float | None = None  # [m/s]
 
     @property
     def is_within_threshold(self) -> bool:
@@ -123,11 +113,6 @@ class Accuracy:
     energy_transfer_error: float  # [-]
     samples: int  # of the plate, since the start
     samples_left_out: int  # outliers among the samples
-
-    @property
-    def is_clean(self) -> bool:
-        """Whether the share of outliers is tolerable."""
-        return self.samples_left_out <= MOST_LEFT_OUT * self.samples
 
 
 @dataclass(frozen=True, kw_only=True)

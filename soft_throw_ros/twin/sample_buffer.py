@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 import math
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +25,8 @@ from soft_throw_ros.storage.message import SECOND
 
 Floats = NDArray[np.float64]
 
-LONG_AGO = -(2**62)
-"""Stamp before all stamps. [ns]"""
+LONG_AGO = np.iinfo(np.int64).min // 2
+"""Stamp before all stamps, whose differences from them have 8 bytes, too. [ns]"""
 
 FUTURE = SECOND // 10
 """Largest accepted lead of a stamp over the clock. [ns]"""
@@ -39,10 +40,10 @@ FARTHEST = 100.0
 FEWEST = 4
 """Fewest samples that give a rate, a rest or a start. [-]"""
 
-_KEPT_WINDOWS = 16
-"""Length of the stored record in smoothing windows: the rest, the start and a reserve. [-]"""
+REST_WINDOWS = 8
+"""Shortest rest of the plate before a throw, in smoothing windows. [-]"""
 
-MEDIAN_DEVIATION = 0.6745
+_MEDIAN = NormalDist().inv_cdf(0.75)
 """Median of the magnitude of standard normal numbers. [-]"""
 
 OUTLIER_SIGMAS = 6.0
@@ -154,7 +155,8 @@ class SampleBuffer:
         """Return the rate of the samples, 0 if there are too few [Hz]."""
         if len(self.samples) < FEWEST:
             return 0.0
-        return SECOND / float(np.median(np.diff(self.samples.stamps)))
+        intervals = np.sort(np.diff(self.samples.stamps))
+        return SECOND / float(intervals[intervals.size // 2])
 
     def add(self, samples: Samples, now_ns: int) -> Samples:
         """Add samples in their order of arrival, count refused ones, and return the added ones."""
@@ -212,7 +214,7 @@ class SampleBuffer:
             self.samples, new = self.samples[is_kept], new[is_kept[first:last]]
         stamps = self.samples.stamps[max(first - 1, 0):first + len(new)]
         self.gap = float((stamps[1:] - stamps[:-1]).max(initial=0)) / SECOND
-        kept_ns = _KEPT_WINDOWS * self.config.smoothing_window_ns
+        kept_ns = 2 * REST_WINDOWS * self.config.smoothing_window_ns  # the rest and a start
         self.samples = self.between(self.complete_ns - kept_ns)
         return new
 
@@ -234,7 +236,7 @@ class OutlierFilter:
         self._bodies = np.zeros(2, _BODY)
         self._bodies['in_a_row'] = MAX_OUTLIERS_IN_A_ROW  # so that the first height is accepted
         self._bodies['state'][:, 0] = np.inf
-        self._bodies['median'] = MEDIAN_DEVIATION
+        self._bodies['median'] = _MEDIAN
 
     def find(self, stamps: NDArray[np.int64], heights: Floats) -> NDArray[np.bool_]:
         """Return which of the following heights are outliers, shape (n, 2); NaN is none."""
@@ -245,14 +247,8 @@ class OutlierFilter:
 
 @kernel
 def _find(
-    bodies: NDArray[np.void],
-    stamps: NDArray[np.int64],
-    heights: Floats,
-    acceleration: float,
-    speed: float,
-    noise: float,
-    stamp_error: float,
-    is_outlier: NDArray[np.bool_],
+    bodies: NDArray[np.void], stamps: NDArray[np.int64], heights: Floats, acceleration: float,
+    speed: float, noise: float, stamp_error: float, is_outlier: NDArray[np.bool_],
 ) -> None:
     """Test heights in order."""
     for body in range(bodies.size):
@@ -270,9 +266,9 @@ def _find(
             variance = noise**2 + (x[1] * stamp_error) ** 2
             error = height - x[0]
             deviation = abs(error) / np.sqrt(p[0, 0] + variance)
-            is_far = deviation > OUTLIER_SIGMAS / MEDIAN_DEVIATION * s.median
+            is_far = deviation > OUTLIER_SIGMAS / _MEDIAN * s.median
             s.median *= _TRACKING if deviation > s.median else 1.0 / _TRACKING
-            s.median = max(s.median, MEDIAN_DEVIATION)
+            s.median = max(s.median, _MEDIAN)
             s.in_a_row = s.in_a_row + 1 if is_far else 0
             if 0 < s.in_a_row < MAX_OUTLIERS_IN_A_ROW:
                 is_outlier[n, body] = True

@@ -19,12 +19,12 @@ from soft_throw_ros.configuration.table import quote
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin import journal
-from soft_throw_ros.twin.measured_throw import MeasuredThrow
 from soft_throw_ros.twin.plate_monitor import PlateMonitor
 from soft_throw_ros.twin.prepared_rig import prepare, PreparedRig, waiting_values
 from soft_throw_ros.twin.results import Outputs, Phase, PhaseChange, PlateCommand, ThrowResult
 from soft_throw_ros.twin.rig_states import (
     AtRest,
+    MeasuredThrow,
     OngoingThrow,
     Returning,
     RigState,
@@ -123,7 +123,6 @@ class Session:
         self._schedule = TickSchedule(step=step, time_ns=0, rate=self.rate)
         self._clock_offset_ns = 0  # of the samples, see `measure` [ns]
         self._period_start = step  # of the last throw, or of a reset
-        self._field_start = step  # since which rows of the field are counted
         self._busy_until: float = step  # at the end of a commanded motion, or of a return
         self._start_monitoring()
         self.enter(AtRest(self), Phase.REST)
@@ -145,8 +144,8 @@ class Session:
         session = cls(prepared, step=entry['step'], on_entry=on_entry)
         if entry['kind'] == 'throw':
             session.outputs.phases.clear()
-            pending = journal.checked(entry['pending'])
-            session._stage(prepare({**settings, **pending}, prepared, motion_of))
+            if pending := journal.checked(entry['pending']):
+                session._stage(prepare({**settings, **pending}, prepared, motion_of))
             session.throws = entry['throw'] - 1
             session._schedule = TickSchedule(**entry['schedule'])
             onset = journal.decode_onset(entry['onset']) if session.is_measured else None
@@ -259,10 +258,10 @@ class Session:
                 if added:
                     self._journal.keep_samples(self.step, added)
 
-    def diagnose_sensors(self) -> tuple[str, ...]:
-        """Return new faults of the sensors of a measured plate; call it about once a second."""
+    def diagnose_sensor(self) -> str:
+        """Return the fault of the sensor of a measured plate, if any."""
         with self._lock:
-            return () if self.monitor is None else self.monitor.faults()
+            return '' if self.monitor is None else self.monitor.rate_fault()
 
     def set_tick_schedule(self, schedule: TickSchedule) -> None:
         """
@@ -292,12 +291,12 @@ class Session:
             outputs = self.outputs
             outputs.throw = self.throws
             self._rig_state.advance(outputs)
-            due_ns, since = self.due_ns(self.step), self.step - self._field_start
+            due_ns, step = self.due_ns(self.step), self.step
             outputs.phases = [
                 phase._replace(stamp_ns=due_ns) if phase.stamp_ns == _NOW else phase
                 for phase in outputs.phases
             ]
-            row, last_row = (k * self.config.field_rate // self.rate for k in (since, since - 1))
+            row, last_row = (k * self.config.field_rate // self.rate for k in (step, step - 1))
             if row != last_row:
                 outputs.layer = self._rig_state.layer()
             self.step += 1
@@ -392,7 +391,7 @@ class Session:
         """Begin a throw, of a measured plate with an onset."""
         step = self.step
         self.throws += 1
-        self._field_start = self._period_start = step
+        self._period_start = step
         self._occupy_controller(step)
         self._journal.begin(
             'throw',
@@ -408,7 +407,7 @@ class Session:
         if onset is None or self.monitor is None:
             self.enter(ScheduledThrow(self), Phase.CONTACT)
         else:
-            throw = MeasuredThrow(self, onset, self.monitor.buffer)
+            throw = MeasuredThrow(self, onset, self.monitor)
             self.enter(throw, Phase.CONTACT, onset.onset_ns)
 
     def put_back(self) -> None:
@@ -419,7 +418,7 @@ class Session:
             ticks = self.prepared.return_ticks(self.config.throw_period)
             ticks = max(ticks, math.ceil(busy_time * self.rate))
         self._start_monitoring()
-        self._field_start, self._busy_until = self.step, self.step + ticks
+        self._busy_until = self.step + ticks
         self.is_requested &= self.monitor is None
         returning = Returning(self, self.step, self.step + ticks, self.outputs.state)
         self.enter(returning, Phase.RETURNING)

@@ -59,6 +59,8 @@ def test_recommendation_is_complete_in_json_and_in_the_table(command):
     columns = (best.now, best, best.by_thickness, best.by_wave_speed)
     expected = [1e3 * column.thickness for column in columns]
     assert list(map(float, command.row(printed, 'thickness'))) == pytest.approx(expected, rel=1e-5)
+    scores = list(map(float, command.row(printed, 'score')[:2]))
+    assert scores == pytest.approx([best.now_score, best.score], rel=1e-5)
     heavy = command.json('recommend', '--mass', 0.3, '--vary', 'thickness')['recommendation']
     assert (heavy['now'], heavy['now_score']) == (None, 0.0)
 

@@ -41,6 +41,12 @@ def test_loss_is_reported_with_its_file_size_and_exit_code(command, bag, tmp_pat
     assert str(path.stat().st_size) in last
 
 
+def test_file_that_is_cut_off_is_called_so(command, bag):
+    path = bag / 'run_0.mcap'
+    path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
+    assert command.run(bag, code=1).rstrip().endswith('cut off')
+
+
 def test_recovered_bag_is_beside_the_other(command, bag, tmp_path, monkeypatch):
     monkeypatch.chdir(bag)
     assert command.run('.').startswith(f'{bag}_recovered: 300 messages')

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
+"""The table of topics, searched by a name and a type."""
+
 from soft_throw_ros.configuration.interface import find_topic, RECORDER_TOPICS, TWIN_TOPICS
 
 

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
+"""Tables of parameters: defaults, ranges and refusals of all nodes."""
+
 import math
 import re
 

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
+"""The parameters of the twin: changes that imply others, and the rig that they give."""
+
 import os
 from typing import Any
 

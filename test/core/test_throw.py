@@ -212,7 +212,7 @@ def test_changes_agree_with_another_rig(rig):
 def test_batches_leave_processors_to_others_in_a_context_of_one_thread(monkeypatch):
     monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 2, 5})
     together = threading.Barrier(3)
-    batch.run_batches(lambda _: together.wait(timeout=10.0), np.arange(3), size=1, threads=None)
+    batch.run_batches(lambda _: together.wait(timeout=60.0), np.arange(3), size=1, threads=None)
     with batch.leave_processors(1):
         assert batch.usable_processors() == 2
         with batch.leave_processors(5), ThreadPoolExecutor() as pool:

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
+from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.design.motion import design_motion, PlateLimits
@@ -16,8 +17,8 @@ from soft_throw_ros.design.score import Limits
 
 ENGINE, TIGHT = PlateLimits.of(Engine()), Limits(max_strain=1e-4)
 KNOWN = [
-    (0.278, 0.0, 5.85), (0.46, 0.25, 5.65), (0.60, 0.5, 5.35),
-    (0.84, 1.0, 4.78), (1.08, 1.5, 4.31), (1.96, 2.0, 3.99),
+    (0.278, 0.0, 5.85), (0.46, 0.25, 5.65), (0.60, 0.5, 5.35), (1.08, 1.5, 4.31),
+    pytest.param(1.96, 2.0, 3.99, marks=pytest.mark.slow),
 ]
 """Mass ratio, crossings until the largest speed, and the largest known energy transfer."""
 
@@ -61,13 +62,11 @@ def test_best_motion_beats_the_present_one_within_its_limits(layer):
     np.testing.assert_array_equal(throw.rig.engine.motion.states[-1, 1:], 0.0)
 
 
-NEO_HOOKEAN = Layer(stress_strain_law='neo_hookean')
+GEL = Layer(stress_strain_law='neo_hookean', loss='constant', loss_tangent=0.1)
 STACK = Layer.of_sheets((Layer(wave_speed=19.0, density=1350.0), Layer(thickness=4e-3)))
 
 
-@pytest.mark.parametrize(
-    'layer', [NEO_HOOKEAN, replace(NEO_HOOKEAN, loss='constant', loss_tangent=0.1), STACK]
-)
+@pytest.mark.parametrize('layer', [GEL, STACK])
 def test_reported_speeds_hold_for_the_stress_strain_law_of_the_layer(layer):
     design = design_motion(Rig(layer=layer, gravity=0.0))
     real = simulate(design.rig)
@@ -125,5 +124,7 @@ def test_impossible_requests_are_refused(call, error, message):
 
 
 def test_present_rig_that_does_not_throw_is_no_number():
-    design = design_motion(Rig(engine=Engine(frequency=3.0)), PlateLimits(speed=0.5, travel=0.02))
+    rig, still = unit_rig(0.278), SampledMotion(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    rig = replace(rig, engine=replace(rig.engine, motion=still))
+    design = design_motion(rig, PlateLimits(speed=1.0))
     assert design.now is None

@@ -41,7 +41,7 @@ def test_plate_fit_gives_the_reference_values(reference_throw):
     assert fit_warnings(found) == []
 
 
-@pytest.mark.parametrize('frequency', [4.0, 63.2, 400.0])
+@pytest.mark.parametrize('frequency', [4.0, 400.0])
 @pytest.mark.parametrize('damping_ratio', [0.0, 0.064, 0.6])
 @pytest.mark.parametrize('periods', [0.8, 25.0])
 def test_plate_fit_needs_no_guess_and_accepts_gaps_and_jitter(frequency, damping_ratio, periods):

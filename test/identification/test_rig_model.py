@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model of a fit: trajectories, derivatives, and the speed in flight."""
 
-
 import numpy as np
 import pytest
 from reference import method_of_steps

@@ -19,9 +19,11 @@ def command(name: str, *arguments: str) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize(('name', 'line'), [
-    ('map_of_layers.py', r'41\.\d mm, 22\.\d m/s: alpha 4\.14'),
-    ('sweep_of_loss.py', r'loss tangent 0\.05: alpha 3\.256'),
     ('own_motion.py', r'1\.4\d+ m/s, alpha 3\.\d+'),
+    *(pytest.param(*case, marks=pytest.mark.slow) for case in (
+        ('map_of_layers.py', r'41\.\d mm, 22\.\d m/s: alpha 4\.14'),
+        ('sweep_of_loss.py', r'loss tangent 0\.05: alpha 3\.256'),
+    )),
 ])
 def test_throws_are_computed(name: str, line: str) -> None:
     done = subprocess.run(command(name), capture_output=True, text=True, check=True)

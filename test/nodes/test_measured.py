@@ -10,7 +10,7 @@ from typing import Any
 
 from bags import accepted, datas, few
 from diagnostic_msgs.msg import DiagnosticStatus
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -144,7 +144,7 @@ THROW = [
 ]
 
 
-@few
+@settings(few, max_examples=25)
 @given(damaged=st.dictionaries(st.integers(0, len(THROW) - 1), datas(*THROW[::50]), max_size=9))
 def test_damaged_messages_never_reach_the_outputs(damaged: dict[int, bytes]) -> None:
     run, reader = Run(engine__motion='measured'), JointStateReader()

@@ -153,7 +153,7 @@ def test_dump_with_results_starts_another_twin_below_arguments_and_is_loaded(
     assert math.isnan(second.get_parameter('recommended.thickness').value)
     third = start('-r', '__node:=third')
     # as `ros2 param load` does, which reads YAML 1.1
-    loaded = {**values, 'measured.position_noise': '6e-06'}
+    loaded = {**values, 'measured.position_noise': '6e-06', 'recommended.wave_speed': 'nan'}
     reasons = dict(zip(loaded, Client(ros, third).set(**loaded), strict=True))
     refused = {name: reason for name, reason in reasons.items() if reason}
     assert refused.keys() == {'recommended.thickness', 'recommended.density'}

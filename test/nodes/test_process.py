@@ -49,8 +49,6 @@ def test_twin_that_is_still_being_imported_ends_well_by_a_signal(start) -> None:
 
 NODE = """
 import sys, threading
-import numpy
-from scipy.optimize import linprog
 from soft_throw_ros.nodes import process
 from std_msgs.msg import String
 
@@ -60,6 +58,9 @@ is_computing = threading.Event()
 def work():
     if state == 'dying':
         1 / 0
+    if state == 'computing':
+        import numpy
+        from scipy.optimize import linprog
     while state == 'computing':  # mostly without the lock of the interpreter, in C++
         linprog(-numpy.ones(120), numpy.random.rand(120, 120), numpy.ones(120))
         is_computing.set()

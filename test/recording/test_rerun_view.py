@@ -112,22 +112,22 @@ def test_twins_have_separate_trees_and_tabs_with_or_without_a_journal(ros, tmp_p
 
 
 def test_repeated_replay_is_drawn_after_the_last_throw_with_its_own_table(ros, tmp_path) -> None:
-    twin = start_twin(ros, throw__period=1.0).go(1699)
+    twin = start_twin(ros, throw__period=0.5).go(849)
     twin.change(layer__thickness=0.012)
     twin.settle()
-    twin.go(1000)
+    twin.go(500)
     latched = twin.of(TWIN_TOPICS.recommendation)[:1]  # comes first
     again = latched + [message for message in twin.messages[:300] if message not in latched]
     recording, _ = record(tmp_path / 'a.rrd', twin.messages + again)
     times, values = recording.scalars('/twin/position')
-    count = times.size - 2700
+    count = times.size - 1350
     assert 200 < count < 300
     assert (np.diff(times) >= 0).all()
-    np.testing.assert_array_equal(values[2700:], values[:count])
+    np.testing.assert_array_equal(values[1350:], values[:count])
     times, texts = recording.series('/twin/recommendation', 'TextDocument:text')
     tables = [table_of(text) for (text,) in texts]
     assert [table[1][1] for table in tables if table][-2:] == ['12', '16.8']
-    assert times[-1] == twin.session.due_ns(2699)
+    assert times[-1] == twin.session.due_ns(1349)
     assert bytes(recording.last('/twin/landscape', 'EncodedImage:blob')[0])[1:4] == b'PNG'
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import contextlib
 import os
 from pathlib import Path
@@ -21,29 +22,27 @@ pytest.importorskip('rerun')
 from rrd_files import viewer_at  # noqa: E402, I100
 
 
-def test_viewer_collects_no_telemetry(tmp_path, monkeypatch) -> None:
-    """Rerun would collect its telemetry in a folder before sending it."""
-    monkeypatch.setenv('XDG_DATA_HOME', str(tmp_path))
-    monkeypatch.setenv('XDG_CONFIG_HOME', str(tmp_path / 'settings'))
-    with Viewer(free_port(), '--headless') as viewer:
-        viewer.wait()
-        time.sleep(1.0)
-    assert list(tmp_path.iterdir()) == []
+@pytest.fixture(scope='module')
+def viewer(tmp_path_factory) -> Iterator[Viewer]:
+    """Return a viewer with its own home; skip without graphics, where viewers end at once."""
+    home = tmp_path_factory.mktemp('home')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('XDG_DATA_HOME', str(home))
+        patch.setenv('XDG_CONFIG_HOME', str(home / 'settings'))
+        with viewer_at(free_port()) as viewer:
+            yield viewer
 
 
-def test_viewer_listens_on_this_machine_only() -> None:
-    with viewer_at(free_port()) as viewer:  # one without graphics would end by itself
-        port = f':{viewer.port:04X} 00000000'
-        sockets = Path('/proc/net/tcp').read_text(encoding='ascii')
-        assert f' 0100007F{port}' in sockets  # 127.0.0.1
-        assert f' 00000000{port}' not in sockets
-        assert f'0000{port}' not in Path('/proc/net/tcp6').read_text(encoding='ascii')
+def test_viewer_listens_on_this_machine_only(viewer) -> None:
+    port = f':{viewer.port:04X} 00000000'
+    sockets = Path('/proc/net/tcp').read_text(encoding='ascii')
+    assert f' 0100007F{port}' in sockets  # 127.0.0.1
+    assert f' 00000000{port}' not in sockets
+    assert f'0000{port}' not in Path('/proc/net/tcp6').read_text(encoding='ascii')
 
 
 @pytest.mark.parametrize('stays', [False, True])
-def test_viewer_ends_with_its_killed_parent_unless_detached(stays) -> None:
-    with viewer_at(free_port()):  # skips the test if no viewer stays
-        pass
+def test_viewer_ends_with_its_killed_parent_unless_detached(viewer, stays) -> None:
     port = free_port()
     code = (
         'import os, signal; from soft_throw_ros.recording.rerun_viewer import Viewer; '
@@ -67,3 +66,9 @@ def test_viewer_without_graphics_names_packages_to_install(monkeypatch) -> None:
         pytest.raises(ViewerError, match='mesa-vulkan-drivers'),
     ):
         process.client()
+
+
+def test_viewer_collects_no_telemetry(viewer) -> None:
+    """Rerun would collect its telemetry in a folder before sending it."""
+    time.sleep(1.0)
+    assert list(Path(os.environ['XDG_DATA_HOME']).iterdir()) == []

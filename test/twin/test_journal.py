@@ -59,7 +59,7 @@ def test_checksums_are_those_of_the_states_and_fields(eventful) -> None:
     assert checksums[-1]['step'] == eventful.session.step
     for earlier, later in pairwise(checksums):
         assert later['first'] == earlier['step']
-    assert max(entry['step'] - entry['first'] for entry in checksums) == 1000
+    assert max(entry['step'] - entry['first'] for entry in checksums) == 100
     assert set(eventful.starts()) < {entry['first'] for entry in checksums}
     for entry in checksums:
         outputs = eventful.outputs[entry['first']:entry['step']]

@@ -1,5 +1,5 @@
+# SPDX-FileCopyrightText: 2026 soft_throw_ros developers
 # SPDX-License-Identifier: Apache-2.0
-# Copyright 2026 soft_throw_ros developers
 """The observer of a measured plate, against a joint normal distribution of all its states."""
 
 from __future__ import annotations

@@ -345,7 +345,7 @@ INPUTS = st.sampled_from(['throw', 'reset']) | st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(
     inputs=st.lists(st.tuples(st.integers(1, 300), INPUTS), min_size=1, max_size=12),
     data=st.data(),
