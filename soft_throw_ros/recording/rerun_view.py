@@ -113,9 +113,8 @@ class Scene:
 
     def arrange(self) -> None:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
-        log = {layout.LOG} if self._canvas.is_drawn else set()
-        views = [twin.layout for twin in self.drawn_twins()]
-        twins = [replace(view, present=view.present | log) for view in views]
+        log, views = {layout.LOG} if self._canvas.is_drawn else set(), self.drawn_twins()
+        twins = [replace(v.layout, present=v.layout.present | log) for v in views]
         if twins != self._arranged:
             self._arranged = twins
             timeline = layout.STAMP if self._canvas.throw is None else layout.THROW_TIME
