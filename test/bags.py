@@ -40,14 +40,8 @@ def profiles(*changes: dict[str, Any]) -> str:
 
 def channel(topic: str, kind: str = 'std_msgs/msg/String', **qos: Any) -> Channel:
     """Return the channel of a topic whose publisher offers `qos`."""
-    schema = find_schema(kind, installed_prefixes())
-    return Channel(
-        topic=topic,
-        type=kind,
-        schema=schema.text,
-        type_hash=schema.type_hash,
-        qos=profiles(qos),
-    )
+    schema, type_hash = find_schema(kind, installed_prefixes())
+    return Channel(topic=topic, type=kind, schema=schema, type_hash=type_hash, qos=profiles(qos))
 
 
 def text(content: str) -> bytes:

@@ -98,8 +98,8 @@ class Player(RunnableNode):
     def _make_publisher(self, channel: Channel) -> None:
         """Create the publisher of a channel, or note the reason why not."""
         try:  # the schema first, since an import runs code, and a bag may name any module
-            here = find_schema(channel.type, installed_prefixes()).type_hash
-            if here and channel.type_hash and here != channel.type_hash:
+            _, here = find_schema(channel.type, installed_prefixes())
+            if channel.type_hash not in ('', here):
                 self.skipped[channel] = f'{channel.type} is defined otherwise here than in the bag'
                 return
             self._outlets[channel] = self.create_publisher(

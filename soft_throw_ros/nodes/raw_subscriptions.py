@@ -194,11 +194,11 @@ class RawSubscriptions:
     ) -> RawSubscription:
         if len(types) > 1:
             raise ValueError(f'it has messages of several types, {", ".join(types)}')
-        schema = find_schema(types[0], installed_prefixes())
+        schema, type_hash = find_schema(types[0], installed_prefixes())
         profiles = [publisher.qos_profile for publisher in publishers]
         qos = dump_yaml([_offered(topic, types[0], profile) for profile in profiles])
         channel = Channel(
-            topic=topic, type=types[0], schema=schema.text, type_hash=schema.type_hash, qos=qos
+            topic=topic, type=types[0], schema=schema, type_hash=type_hash, qos=qos
         )
         fitting = make_profile(  # the strictest request that is compatible with all offers
             _DEPTH,

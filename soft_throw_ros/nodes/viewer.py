@@ -19,9 +19,8 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
 from soft_throw_ros.recording import rerun_viewer
 
-_DRAIN_PERIOD = 0.1  # time between two updates; shorter ones cost more of a core [s]
+_DRAIN_PERIOD = 0.2  # time between two updates; shorter ones cost more of a core [s]
 _FLUSH_TIME = 0.7  # longest wait for viewers and disk at the end [s]
-_DISCOVERY_PERIOD = 0.2  # time between two searches for new topics [s]
 
 
 class Viewer(RunnableNode):
@@ -54,9 +53,8 @@ class Viewer(RunnableNode):
         except (OSError, ValueError) as error:
             raise ParameterError(str(error)) from error
         self._scene = Scene(self._stream, is_live=True)
-        self.create_steady_timer(_DISCOVERY_PERIOD, self.raw_subscriptions.discover)
         self.create_steady_timer(_DRAIN_PERIOD, self._drain)
-        self.create_steady_timer(1.0, self._report)
+        self.create_steady_timer(1.0, self._on_second)
 
     def close(self) -> None:
         """Draw the last messages, and close the sink."""
@@ -84,8 +82,9 @@ class Viewer(RunnableNode):
     def _drain(self) -> None:
         self._scene.show(self.raw_subscriptions.drain())
 
-    def _report(self) -> None:
-        """Publish how many messages are not shown."""
+    def _on_second(self) -> None:
+        """Look for new topics, and publish how many messages are not shown."""
+        self.raw_subscriptions.discover()
         values = {'lost': self.raw_subscriptions.lost, 'damaged': self._scene.damaged}
         missing, damage = sum(values.values()), self._scene.damage
         text = f'{missing} messages not shown' + (damage and f'; {damage}')

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import contextlib
 import functools
 import io
@@ -18,13 +18,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 from soft_throw_ros import __version__
-from soft_throw_ros.storage.bag_folder import (
-    dump_yaml,
-    load_profiles,
-    lock_folder,
-    METADATA_FILE,
-    METADATA_KEY,
-)
+from soft_throw_ros.storage import bag_folder
 from soft_throw_ros.storage.message import BagError, Channel, LATEST, Message
 from soft_throw_ros.storage.regular_file import atomic_file
 
@@ -48,14 +42,8 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
     """
 
     def __init__(
-        self,
-        folder: str | Path,
-        *,
-        distribution: str,
-        compression: str = 'zstd',
-        max_size: int = 0,
-        max_duration: float = 0.0,
-        sync: bool = False,
+        self, folder: str | Path, *, distribution: str, compression: str = 'zstd',
+        max_size: int = 0, max_duration: float = 0.0, sync: bool = False,
     ) -> None:
         self.folder = Path(folder)
         self.wait_for_disk: Callable[[str], bool] = lambda _reason: False
@@ -71,12 +59,10 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
         self._files: list[_File] = []
         try:
             self.folder.mkdir(parents=True)
-        except FileExistsError:
-            raise BagError(f'{folder} exists, and a bag is never overwritten') from None
         except OSError as error:
             raise BagError(f'{folder}: {error.strerror}') from None
         # Only `check_not_written` can hold the lock of a new folder, and for a moment
-        self._lock = lock_folder(self.folder)
+        self._lock = bag_folder.lock_folder(self.folder)
         try:
             self._begin_file()
         except BagError:
@@ -156,15 +142,15 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
     def _finish_file(self) -> None:
         """Write the last chunk and the end of the present file."""
         self.flush()
-        information = {'serialized_metadata': dump_yaml(self._information())}
+        information = {'serialized_metadata': bag_folder.dump_yaml(self._information())}
         self.add_metadata('rosbag2', information)
         self._files[-1].writer.finish()
         self.flush()
         self._files[-1].close()
 
     def _write_metadata(self) -> None:
-        path = self.folder / METADATA_FILE
-        text = dump_yaml({METADATA_KEY: self._information()})
+        path = self.folder / bag_folder.METADATA_FILE
+        text = bag_folder.dump_yaml({bag_folder.METADATA_KEY: self._information()})
 
         def replace() -> None:
             with atomic_file(path) as unfinished:
@@ -182,45 +168,44 @@ class BagWriter(contextlib.AbstractContextManager['BagWriter']):
 
     def _information(self) -> dict[str, object]:
         """Return the metadata of the bag that rosbag2 expects as YAML."""
-        first = min(file.first for file in self._files)
-        last = max((file.last for file in self._files if file.count), default=first)
         return {
             'version': 9,  # of ROS 2 Jazzy and later
             'storage_identifier': 'mcap',
-            'duration': {'nanoseconds': last - first},
-            'starting_time': {'nanoseconds_since_epoch': first},
-            'message_count': sum(file.count for file in self._files),
+            **_contents(self._files),
             'topics_with_message_count': [
-                {
-                    'topic_metadata': {
-                        'name': channel.topic,
-                        'type': channel.type,
-                        'serialization_format': 'cdr',
-                        'offered_qos_profiles': [
-                            profile for profile in load_profiles(channel.qos)
-                            if isinstance(profile.get('reliability'), str)  # as in version 9
-                        ],
-                        'type_description_hash': channel.type_hash,
-                    },
-                    'message_count': count,
-                }
+                {'topic_metadata': _topic_metadata(channel), 'message_count': count}
                 for channel, count in self.written.items()
             ],
             'compression_format': '',
             'compression_mode': '',
             'relative_file_paths': [file.path.name for file in self._files],
-            'files': [
-                {
-                    'path': file.path.name,
-                    'starting_time': {'nanoseconds_since_epoch': file.first},
-                    'duration': {'nanoseconds': max(file.last - file.first, 0)},
-                    'message_count': file.count,
-                }
-                for file in self._files
-            ],
+            'files': [{'path': file.path.name, **_contents([file])} for file in self._files],
             'custom_data': {},
             'ros_distro': self._distribution,
         }
+
+
+def _contents(files: Sequence[_File]) -> dict[str, object]:
+    first = min(file.first for file in files)
+    last = max((file.last for file in files if file.count), default=first)
+    return {
+        'starting_time': {'nanoseconds_since_epoch': first},
+        'duration': {'nanoseconds': last - first},
+        'message_count': sum(file.count for file in files),
+    }
+
+
+def _topic_metadata(channel: Channel) -> dict[str, object]:
+    return {
+        'name': channel.topic,
+        'type': channel.type,
+        'serialization_format': 'cdr',
+        'offered_qos_profiles': [
+            profile for profile in bag_folder.load_profiles(channel.qos)
+            if isinstance(profile.get('reliability'), str)  # as in version 9
+        ],
+        'type_description_hash': channel.type_hash,
+    }
 
 
 class _File(io.BufferedWriter):

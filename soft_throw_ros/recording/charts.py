@@ -22,18 +22,11 @@ from soft_throw_ros.recording.rerun_text import Values
 from soft_throw_ros.twin.results import Floats
 
 Bytes = NDArray[np.uint8]
-Marks = Iterable[tuple[str, float, float]]
-"""Marked points: title, and values on both axes."""
 
 _STYLE: dict[Any, Any] = {
-    'axes.edgecolor': '#b0b0b0',
-    'axes.labelcolor': 'white',
-    'figure.facecolor': '#0d1011',
-    'font.size': 9.0,
-    'legend.facecolor': '0.3',
-    'text.color': 'white',
-    'xtick.color': '#b0b0b0',
-    'ytick.color': '#b0b0b0',
+    'figure.facecolor': '#0d1011', 'font.size': 9.0, 'legend.facecolor': '0.3',
+    **dict.fromkeys(('axes.labelcolor', 'text.color'), 'white'),
+    **dict.fromkeys(('axes.edgecolor', 'xtick.color', 'ytick.color'), '#b0b0b0'),
 }
 """Style of figures in the viewer, in the colours of Rerun."""
 
@@ -45,20 +38,15 @@ _TIME_BUDGET = 1.0  # for the map: too heavy a projectile would take minutes [s]
 
 
 def draw_map(
-    panel: Any,
-    axes: Mapping[str, Floats],
-    values: Floats,
-    *,
-    label: str,
-    colours: str = 'viridis',
-    highest: float | None = None,
-    marks: Marks = (),
+    panel: Any, axes: Mapping[str, Floats], values: Floats, *, label: str,
+    colours: str = 'viridis', highest: float | None = None,
+    marks: Iterable[tuple[str, float, float]] = (),
 ) -> None:
     """
     Draw values, shape (n, m), over two axes as colours from 0 to `highest`; NaN where are none.
 
-    `axes` are their points, spaced evenly or by a constant factor, by title and unit. The titles
-    of at most two marks are for a legend.
+    `axes` are their points, spaced evenly or by a constant factor, by title and unit. At most two
+    `marks` are titles for a legend, and values on both axes.
     """
     image = panel.pcolormesh(
         *axes.values(), values.T, cmap=colours, vmin=0.0, vmax=highest, shading='nearest'

@@ -10,7 +10,7 @@ compared to the last bit. Other versions are refused, because they compute other
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -18,8 +18,8 @@ import numpy as np
 from soft_throw_ros.configuration.interface import find_topic, TWIN_TOPICS
 from soft_throw_ros.recording.twin_journal import DECODING_ERRORS
 from soft_throw_ros.storage.bag_reader import BagReader
-from soft_throw_ros.storage.cdr import decode, JointStateReader, MessageError
-from soft_throw_ros.storage.message import BagError, Message
+from soft_throw_ros.storage.cdr import decode, JointStateReader
+from soft_throw_ros.storage.message import BagError
 from soft_throw_ros.twin import journal
 from soft_throw_ros.twin.results import Outputs, State
 from soft_throw_ros.twin.session import RequestRejected, Session
@@ -28,7 +28,6 @@ MAX_STEPS_BETWEEN_LINES = 20_000  # checksums come ten times a second, after 500
 _COMPARED = ('throw', 'result', 'checksum')
 _NOT_COMPARED = ('line', 'versions', 'motions', 'onset')
 _SHOWN = 5  # differences that are described one by one
-_UNREPEATABLE = (RequestRejected, *DECODING_ERRORS)
 
 
 class CheckError(BagError):
@@ -36,21 +35,12 @@ class CheckError(BagError):
 
 
 @dataclass(kw_only=True)
-class Count:
-    """Numbers of outputs of one kind, by the outcome of the comparison [-]."""
-
-    same: int = 0
-    different: int = 0
-    missing: int = 0  # not in the bag
-
-
-@dataclass(kw_only=True)
 class CheckResult:
-    """Outcome of the comparison for a twin in a bag."""
+    """Outcome for a twin in a bag; it counts the `same`, `different` and `missing` outputs."""
 
     twin: str  # name of the node
-    states: Count = field(default_factory=Count)
-    results: Count = field(default_factory=Count)  # and checksums; missing lines of the journal
+    states: Counter[str] = field(default_factory=Counter)
+    results: Counter[str] = field(default_factory=Counter)  # and checksums; `missing` are lines
     differences: list[str] = field(default_factory=list)
     reason: str = ''  # why nothing was compared, if so
 
@@ -59,47 +49,38 @@ class CheckResult:
         """1 if anything is different, 2 if nothing was compared, else 0."""
         if self.differences:
             return 1
-        return 0 if self.results.same else 2
+        return 0 if self.results['same'] else 2
 
     def describe(self) -> str:
         """Return lines for people to read."""
         lines = [self.reason] if self.reason else []
         if self.differences or not self.reason:
+            kinds = {'states': self.states, 'lines of the journal': self.results}
             lines += [
-                f'{name}: {count.same} are the same to the last bit, {count.different} are '
-                f'different, {count.missing} {unit}are not in the bag'
-                for name, count, unit in (
-                    ('states', self.states, ''),
-                    ('results and checksums', self.results, 'lines of the journal '),
-                )
+                f'{name}: {count["same"]} are the same to the last bit, {count["different"]} are '
+                f'different, {count["missing"]} are not in the bag'
+                for name, count in kinds.items()
             ]
         lines += [f'different: {sentence}' for sentence in self.differences[:_SHOWN]]
         if len(self.differences) > _SHOWN:
             lines.append(f'different: and {len(self.differences) - _SHOWN} more')
         return '\n'.join(lines)
 
-    def count(self, count: Count, where: str, difference: str) -> None:
+    def count(self, counts: Counter[str], where: str, difference: str) -> None:
         """Count a comparison, with a description of the difference if there is one."""
-        count.same += not difference
-        count.different += bool(difference)
+        counts['different' if difference else 'same'] += 1
         if difference:
             self.differences.append(f'{where}: {difference}')
 
 
 def check_bag(reader: BagReader) -> list[CheckResult]:
     """Check every twin in a bag, which is read twice for each; CheckError if there is none."""
-    topics = [item for channel in reader.channels
-              if (item := find_topic(channel.topic, channel.type)) is not None]
-    nodes = dict.fromkeys(
-        node for node, topic in topics
-        if topic == TWIN_TOPICS.journal and (node, TWIN_TOPICS.joint_states) in topics
-    )
+    topics = dict.fromkeys(find_topic(item.topic, item.type) for item in reader.channels)
+    nodes = [item[0] for item in topics if item and item[1] == TWIN_TOPICS.journal
+             and (item[0], TWIN_TOPICS.joint_states) in topics]
     if not nodes:
-        raise CheckError(
-            f'{reader.path}: the bag needs the topics {TWIN_TOPICS.journal.name[2:]} and '
-            f'{TWIN_TOPICS.joint_states.name[2:]} of a twin, and has '
-            f'{", ".join(item.topic for item in reader.channels) or "none"}'
-        )
+        names = ', '.join(item.topic for item in reader.channels) or 'none'
+        raise CheckError(f'{reader.path} has no journal and joint_states of a twin, only {names}')
     return [_Check(reader, node).run() for node in nodes]
 
 
@@ -111,8 +92,6 @@ class _Check:
         self._node = node
         self._result = CheckResult(twin=node)
         self._states: dict[int, list[bytes]] = defaultdict(list)  # recorded ones by stamp [ns]
-        self._unreadable: list[str] = []
-        self._is_repeated = False
 
     def run(self) -> CheckResult:
         """Repeat the journal, and return the result."""
@@ -121,24 +100,20 @@ class _Check:
         topic = TWIN_TOPICS.journal.at(self._node).name
         for message in self._reader.messages([topic], by_log_time=False):
             try:
-                entry = _entry(message)
-            except journal.JournalError as error:
+                entry = journal.decode(str(decode(message).data))
+                number = entry['line']
+            except DECODING_ERRORS as error:
                 if lines:  # else it may be of another program
                     result.differences.append(f'line {last + 1} is unreadable: {error!s:.200}')
                 continue
-            if entry['kind'] == 'start':
-                last = -1
-            if last + 1 != entry['line'] or entry['kind'] == 'start':
-                result.results.missing += max(entry['line'] - last - 1, 0)
+            if last + 1 != number or entry['kind'] == 'start':
+                result.results['missing'] += max(number - last - 1, 0)
                 self._repeat_all(lines)
-            last = entry['line']
+            last = number
             lines.append(entry)
         self._repeat_all(lines)
-        if not self._is_repeated:
+        if 'missing' not in result.states:  # which each repeated step counts
             result.reason = result.reason or 'not compared: the journal has no start of a throw'
-            return result
-        for difference in self._unreadable:
-            result.count(result.states, 'states', difference)
         return result
 
     def _read_states(self) -> None:
@@ -149,7 +124,8 @@ class _Check:
                 state = np.array(series).reshape(len(State._fields))
                 self._states[int(stamp)].append(state.tobytes())
             except ValueError as error:
-                self._unreadable.append(f'a message is no state of the rig, {error!s:.200}')
+                difference = f'a message is no state of the rig, {error!s:.200}'
+                self._result.count(self._result.states, 'states', difference)
 
     def _repeat_all(self, lines: deque[journal.Entry]) -> None:
         """Repeat lines without a gap, from the next throw on if some cannot be repeated."""
@@ -163,10 +139,8 @@ class _Check:
                 for name, ours in journal.VERSIONS.items() if versions.get(name) != ours
             ]
             if others:
-                self._result.reason = (
-                    'not compared, because other versions compute other last bits: recorded with '
-                    + '; '.join(others)
-                )
+                reason = 'not compared, because other versions compute other last bits: recorded '
+                self._result.reason = f'{reason}with {"; ".join(others)}'
             else:
                 self._repeat(first, lines)
 
@@ -186,10 +160,7 @@ class _Check:
                 entry = lines.popleft()
                 line, distance = entry['line'], entry['step'] - session.step
                 if distance > MAX_STEPS_BETWEEN_LINES:
-                    raise journal.JournalError(
-                        f'it is {distance} steps after the one before, which is more than '
-                        f'{MAX_STEPS_BETWEEN_LINES}'
-                    )
+                    raise journal.JournalError(f'it is {distance} steps after the one before')
                 self._compare_states(session, session.follow(entry))
             for entry in tuple(expected):  # of the last step, or of the end of the session
                 if entry['kind'] == 'checksum':
@@ -198,7 +169,7 @@ class _Check:
                     self._compare_states(session, [session.advance()])
             if expected:
                 raise journal.JournalError(f'{expected[0]["kind"]} is not repeated')
-        except _UNREPEATABLE as error:
+        except (RequestRejected, *DECODING_ERRORS) as error:
             self._result.differences.append(f'line {line} cannot be repeated: {error!s:.300}')
 
     def _compare_lines(self, recorded: journal.Entry, repeated: journal.Entry) -> None:
@@ -217,9 +188,8 @@ class _Check:
     def _compare_states(self, session: Session, outputs: Iterable[Outputs]) -> None:
         """Compare the recorded states of steps, all those of the same stamp, to the last bit."""
         for item in outputs:
-            self._is_repeated = True
             rows = self._states.get(session.due_ns(item.step), [])
-            self._result.states.missing += not rows
+            self._result.states['missing'] += not rows
             for row in rows:
                 difference = ''
                 if row != journal.STATE.pack(*item.state):
@@ -227,17 +197,6 @@ class _Check:
                     difference = _first_difference(recorded, item.state._asdict())
                     difference = difference or 'other bits of a value'
                 self._result.count(self._result.states, f'states: step {item.step}', difference)
-
-
-def _entry(message: Message) -> journal.Entry:
-    """Read a line of a journal; raise JournalError if it cannot be read, or has no number."""
-    try:
-        entry = journal.decode(str(decode(message).data))
-    except (MessageError, AttributeError) as error:
-        raise journal.JournalError(str(error)) from error
-    if 'line' not in entry:
-        raise journal.JournalError('it has no number')
-    return entry
 
 
 def _first_difference(recorded: Mapping[str, object], repeated: Mapping[str, object]) -> str:

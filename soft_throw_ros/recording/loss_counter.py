@@ -38,8 +38,7 @@ class LossCounter:
         """Count the losses since the last update, with all those that the middleware reported."""
         self._publishers.update(publishers)
         gaps = self._gaps
-        is_by_number = None not in self._last or len(self._publishers) <= 1
-        if self._has_numbers and is_by_number:
+        if self._has_numbers and (None not in self._last or len(self._publishers) <= 1):
             self.lost += gaps - self._counted_gaps
         else:
             self.lost += reported - self._reported

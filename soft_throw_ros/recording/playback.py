@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 import itertools
-import math
 
 from soft_throw_ros.storage.message import Message
 
@@ -19,20 +18,14 @@ class PlaybackSchedule:
     Deadlines of the messages of a recording, at a selectable rate, optionally repeated.
 
     `messages` returns them from the beginning, by log time. Playback is paused at the beginning
-    until it is resumed. ValueError is raised if the rate is not finite and positive.
+    until it is resumed.
     """
 
     def __init__(
-        self,
-        messages: Callable[[], Iterable[Message]],
-        *,
-        begin_ns: int,
-        end_ns: int,
-        rate: float = 1.0,
-        is_looping: bool = False,
+        self, messages: Callable[[], Iterable[Message]], *, begin_ns: int, end_ns: int,
+        rate: float = 1.0, is_looping: bool = False,
     ) -> None:
-        if not 0.0 < rate < math.inf:
-            raise ValueError(f'a rate must be positive and finite, got {rate!r}')
+        self._messages = messages
         self.rate = rate
         self.is_paused = True
         self._begin = begin_ns
@@ -43,8 +36,8 @@ class PlaybackSchedule:
         # Times of the recording count from its beginning, and continue through repetitions.
         # At the caller's time `_now`, the time of the recording was `_passed`.
         self._now = self._passed = 0
-        self._coming = self._repeat(messages)
-        self._next_time, self._next = next(self._coming, (self._length, None))
+        self._coming = self._repeat()
+        self._next_time, self._next = next(self._coming)
 
     @property
     def is_over(self) -> bool:
@@ -70,7 +63,7 @@ class PlaybackSchedule:
             return None
         self._now += max(now - deadline - MAX_CATCH_UP, 0)
         message = self._next
-        self._next_time, self._next = next(self._coming, (self._length, None))
+        self._next_time, self._next = next(self._coming)
         return message
 
     def pause(self, now: int) -> None:
@@ -89,13 +82,12 @@ class PlaybackSchedule:
         passed = 0 if self.is_paused else max(int((now - self._now) * self.rate), 0)
         return min(self._passed + passed, self._next_time)
 
-    def _repeat(
-        self, messages: Callable[[], Iterable[Message]]
-    ) -> Iterator[tuple[int, Message | None]]:
-        """Yield messages with their times since the beginning of the first loop."""
+    def _repeat(self) -> Iterator[tuple[int, Message | None]]:
+        """Yield messages and at last None, with times since the beginning of the first loop."""
         for loop in itertools.count():
             message = None
-            for message in messages():
+            for message in self._messages():
                 yield loop * self._length + message.log_time - self._begin, message
             if message is None or not self._is_looping:
-                return
+                break
+        yield self._length, None

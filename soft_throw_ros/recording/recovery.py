@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from collections import Counter
 import contextlib
-from dataclasses import dataclass
 from pathlib import Path
 import shutil
+from typing import NamedTuple
 
 from mcap import records as mcap
 from mcap.exceptions import EndOfFile
@@ -18,8 +18,7 @@ from soft_throw_ros.storage.bag_reader import open_mcap, read_records
 from soft_throw_ros.storage.message import BagError, Message
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recovery:
+class Recovery(NamedTuple):
     """The result of a recovery."""
 
     target: Path  # the new bag
@@ -40,9 +39,8 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         raise BagError(f'{target} is in the bag that is to be recovered, which is not changed')
     folder = BagFolder(source)
     saved, omitted = Counter[str](), [f'{path}: missing or empty' for path in folder.defects]
-    with contextlib.ExitStack() as incomplete, BagWriter(
-        target, distribution=folder.distribution
-    ) as writer:
+    writer = BagWriter(target, distribution=folder.distribution)
+    with contextlib.ExitStack() as incomplete, writer:
         incomplete.callback(shutil.rmtree, target, ignore_errors=True)
         omitted += [end for path in folder.files if (end := _copy(path, writer))]
         for channel, count in writer.written.items():
@@ -51,7 +49,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise BagError(f'{omitted[0] if omitted else source}; there is no message to recover')
         writer.close()
         incomplete.pop_all()
-    return Recovery(target=target, saved=saved, omitted=tuple(omitted))
+    return Recovery(target, saved, tuple(omitted))
 
 
 def _copy(path: Path, writer: BagWriter) -> str:

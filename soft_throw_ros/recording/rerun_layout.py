@@ -21,8 +21,6 @@ THROW_TIME = 'time since throw'
 LOG = 'log'
 """Entity with the log of all nodes."""
 
-Colour = tuple[int, int, int]
-
 # The colours of Okabe and Ito, which people with colour blindness can distinguish.
 GREY = (0xB0, 0xB0, 0xB0)
 WHITE = (0xFF, 0xFF, 0xFF)
@@ -33,10 +31,7 @@ PURPLE = (0xCC, 0x79, 0xA7)
 RED = (0xD5, 0x5E, 0x00)
 
 PHASES = {
-    'rest': (0x60, 0x60, 0x60),
-    'contact': ORANGE,
-    'flight': BLUE,
-    'landed': GREEN,
+    'rest': (0x60, 0x60, 0x60), 'contact': ORANGE, 'flight': BLUE, 'landed': GREEN,
     'returning': PURPLE,
 }
 
@@ -44,10 +39,11 @@ PHASES = {
 class Lines(NamedTuple):
     """Lines of a plot, in one entity."""
 
+    title: str  # of the plot; empty for lines that are added to one
     topic: Topic
     quantity: str  # of its messages JointState; empty for a cloud
     names: tuple[str, ...]
-    colours: tuple[Colour, ...]
+    colours: tuple[tuple[int, int, int], ...]
     factors: float | tuple[float, ...] = 1.0  # from SI units to the units of the plot
     widths: float | tuple[float, ...] = 1.0  # of all lines, or of each
 
@@ -56,37 +52,31 @@ _STATES = TWIN_TOPICS.joint_states
 _BODIES = ('plate', 'projectile')
 
 LINES = {
-    'position': Lines(_STATES, 'position', _BODIES, (GREY, BLUE), 1e3, 1.5),
-    'velocity': Lines(_STATES, 'velocity', _BODIES, (GREY, BLUE), 1.0, 1.5),
+    'position': Lines('Position z (mm)', _STATES, 'position', _BODIES, (GREY, BLUE), 1e3, 1.5),
+    'velocity': Lines('Velocity v (m/s)', _STATES, 'velocity', _BODIES, (GREY, BLUE), 1.0, 1.5),
     'force': Lines(
-        _STATES, 'effort', ('at the plate', 'at the projectile'), (GREY, BLUE), (-1.0, 1.0), 1.5
+        'Compressive force F (N)', _STATES, 'effort', ('at the plate', 'at the projectile'),
+        (GREY, BLUE), (-1.0, 1.0), 1.5,
     ),
     'energy': Lines(
-        TWIN_TOPICS.throw_energies, '',
+        'Energy (mJ)', TWIN_TOPICS.throw_energies, '',
         ('work of the plate', *ENERGIES[2:4], 'projectile + layer'),
         (GREY, BLUE, ORANGE, GREEN), 1e3, (4.0, 1.5, 1.5, 1.5),
     ),
     'position/measured': Lines(
-        TWIN_TOPICS.measured_joint_states, 'position',
+        '', TWIN_TOPICS.measured_joint_states, 'position',
         ('plate, measured', 'projectile, measured'), (RED, ORANGE), 1e3,
     ),
     'position/predicted': Lines(
-        TWIN_TOPICS.predicted_joint_states, 'position', ('projectile, predicted',), (GREEN,), 1e3
+        '', TWIN_TOPICS.predicted_joint_states, 'position', ('projectile, predicted',), (GREEN,),
+        1e3,
     ),
-    'residual': Lines(TWIN_TOPICS.residual, 'position', _BODIES, (GREY, BLUE), 1e6),
+    'residual': Lines(
+        'Model less measurement (µm)', TWIN_TOPICS.residual, 'position', _BODIES, (GREY, BLUE),
+        1e6,
+    ),
 }
 """Lines by entity below that of the twin; the first part of its name is the plot."""
-
-_PLOTS = {
-    'position': 'Position z (mm)',
-    'velocity': 'Velocity v (m/s)',
-    'force': 'Compressive force F (N)',
-    'energy': 'Energy (mJ)',
-    'residual': 'Model less measurement (µm)',
-}
-
-_Panel = tuple[float, str, Any, str, dict[str, Any]]
-"""Share of the height of its column, entity, kind of view, title, and options of the view."""
 
 _OPTIONAL = {'energy', 'residual', LOG}
 """Panels that are left out while they would be empty."""
@@ -100,16 +90,16 @@ _BEFORE, _AFTER = 0.7, 1.8  # that plots show before and after the cursor [perio
 _LIVE_BEFORE, _LEAST_LIVE = 4.0, 2.0  # that live plots show [periods of the plate], [s] at least
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass
 class TwinLayout:
     """Properties of a twin that determine its layout; a change requires a new layout."""
 
     root: str  # of its entities
     title: str
-    period: float  # of the plate, on the timeline that is shown [s]
-    diameter: float  # of the layer [mm]
-    height: float  # of the side view above the plate [mm]
-    present: set[str]  # optional panels that are there
+    period: float = 1.0  # of the plate, on the timeline that is shown [s]
+    diameter: float = 12.0  # of the layer [mm]
+    height: float = 60.0  # of the side view above the plate [mm]
+    present: frozenset[str] = frozenset()  # optional panels that are there
 
 
 def arrange(twins: Sequence[TwinLayout], timeline: str, *, is_live: bool) -> rrb.Blueprint:
@@ -121,8 +111,7 @@ def arrange(twins: Sequence[TwinLayout], timeline: str, *, is_live: bool) -> rrb
         rrb.BlueprintPanel(state='hidden'),
         rrb.SelectionPanel(state='hidden'),
         rrb.TimePanel(
-            state='collapsed',
-            timeline=timeline,
+            state='collapsed', timeline=timeline,
             playback_speed=1.0 if is_live else min(0.5 * twins[0].period, 1.0),
             play_state='following' if is_live else 'paused',
         ),
@@ -144,20 +133,21 @@ def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
     log = rrb.TextLogColumns(timeline_columns=hidden, text_log_columns=['LogLevel', 'Body'])
     picture, text = rrb.Spatial2DView, rrb.TextDocumentView
 
-    def plot(entity: str, title: str) -> _Panel:
+    def plot(entity: str, title: str) -> tuple[Any, ...]:
         return 3.0, entity, rrb.TimeSeriesView, title, {
             'axis_x': window,
             'plot_legend': rrb.PlotLegend('RightTop' if entity == 'force' else 'LeftTop'),
         }
 
-    def column(*panels: _Panel) -> rrb.Container:
-        absent = _OPTIONAL - twin.present
-        shown = [panel for panel in panels if panel[1] not in absent]
-        views = [
-            kind(origin=f'{"" if entity == LOG else twin.root}/{entity}', name=title, **options)
-            for _, entity, kind, title, options in shown
-        ]
-        return rrb.Vertical(*views, row_shares=[share for share, *_ in shown])
+    def column(*panels: tuple[Any, ...]) -> rrb.Container:
+        """Stack panels: share of the height, entity, kind of view, title, options of the view."""
+        shares, views = [], []
+        for share, entity, kind, title, options in panels:
+            if entity not in _OPTIONAL - twin.present:
+                root = '' if entity == LOG else twin.root
+                shares.append(share)
+                views.append(kind(origin=f'{root}/{entity}', name=title, **options))
+        return rrb.Vertical(*views, row_shares=shares)
 
     return rrb.Horizontal(
         column(
@@ -166,7 +156,7 @@ def _arrange_twin(twin: TwinLayout, *, is_live: bool) -> rrb.Container:
         ),
         column(
             (1.5, 'phase', rrb.StateTimelineView, 'Phase', {'time_view': window}),
-            *(plot(entity, title) for entity, title in _PLOTS.items()),
+            *(plot(entity, line.title) for entity, line in LINES.items() if line.title),
         ),
         column(
             (2.7, 'strain', picture, 'Strain ε(y, t) in the throw', {'visual_bounds': _STRAIN}),

@@ -10,20 +10,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import groupby
 import math
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from soft_throw_ros.configuration.interface import (
-    FIELD_POINTS,
-    find_topic,
-    JOINT_STATE,
-    JOINTS,
-    Topic,
-    TWIN_TOPICS,
-)
+from soft_throw_ros.configuration.interface import FIELD_POINTS, find_topic, Topic, TWIN_TOPICS
 from soft_throw_ros.configuration.table import float_of
 from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.recording import charts
@@ -31,13 +27,7 @@ from soft_throw_ros.recording import rerun_layout as layout
 from soft_throw_ros.recording import rerun_text as words
 from soft_throw_ros.recording.rerun_layout import BLUE, GREY, RED, WHITE
 from soft_throw_ros.recording.twin_journal import DECODING_ERRORS, Stamps, ThrowStart, TwinJournal
-from soft_throw_ros.storage.cdr import (
-    decode,
-    JointStateReader,
-    JointStates,
-    MessageError,
-    stamp_of,
-)
+from soft_throw_ros.storage import cdr
 from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
@@ -49,31 +39,29 @@ _STEP_BACK = 1_000_000_000
 """Stamps that go back further begin another repetition; smaller steps correct a clock. [ns]"""
 
 
+@dataclass(kw_only=True)
 class _Canvas:
     """A tree of entities; without a `throw`, the origin of `THROW_TIME`, it has only `STAMP`."""
 
-    def __init__(
-        self, stream: rr.RecordingStream, root: str, throw: ThrowStart | None, *, is_live: bool
-    ) -> None:
-        self.root = root
-        self.throw = throw
-        self.delay = 0  # which is added to all stamps [ns]
-        self.is_drawn = False  # topics with these names may belong to another machine
-        self._stream = stream
-        self._is_live = is_live
+    stream: rr.RecordingStream
+    root: str
+    throw: ThrowStart | None
+    is_live: bool
+    delay: int = 0  # which is added to all stamps [ns]
+    is_drawn: bool = False  # topics with these names may belong to another machine
 
     def style(self, name: str, style: rr.AsComponents) -> None:
         """Set the style of an entity, for all times."""
-        self._stream.log(f'{self.root}/{name}', style, static=True)
+        self.stream.log(f'{self.root}/{name}', style, static=True)
 
     def draw(self, name: str, stamp: int, *content: rr.AsComponents, stays: bool = False) -> None:
         """Draw until other content comes; what `stays` in a live view reaches late viewers."""
         self.is_drawn = True
         stamp += self.delay
-        self._stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
+        self.stream.set_time(layout.STAMP, timestamp=np.datetime64(stamp, 'ns'))
         if self.throw is not None:
-            self._stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
-        self._stream.log(f'{self.root}/{name}', *content, static=stays and self._is_live)
+            self.stream.set_time(layout.THROW_TIME, duration=self.throw.seconds_to(stamp))
+        self.stream.log(f'{self.root}/{name}', *content, static=stays and self.is_live)
 
     def columns(self, name: str, stamps: Stamps, columns: Iterable[rr.ComponentColumn]) -> None:
         """Draw rows of a quantity that changes with every step."""
@@ -83,7 +71,7 @@ class _Canvas:
         if self.throw is not None:
             seconds = self.throw.seconds_to(stamps)
             indexes.append(rr.TimeColumn(layout.THROW_TIME, duration=seconds))
-        self._stream.send_columns(f'{self.root}/{name}', indexes, columns)
+        self.stream.send_columns(f'{self.root}/{name}', indexes, columns)
 
 
 class Scene:
@@ -96,25 +84,28 @@ class Scene:
         self.damage = ''  # the error of the first of them
         self._stream = stream
         self._is_live = is_live
-        self._new_canvas = partial(_Canvas, stream, throw=throw, is_live=is_live)
-        self._canvas = self._new_canvas('')
+        self._new_canvas = partial(_Canvas, stream=stream, throw=throw, is_live=is_live)
+        self._canvas = self._new_canvas(root='')
         self._twins: dict[str, _TwinView] = {}
         self._arranged: list[layout.TwinLayout] = []
 
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
         waiting: dict[str, dict[Topic, list[Message]]] = defaultdict(lambda: defaultdict(list))
-        for message in messages:
-            node, topic = _drawn_topic(message.channel.topic, message.channel.type)
+        for channel, run in groupby(messages, itemgetter(0)):
+            node, topic = _drawn_topic(channel.topic, channel.type)
             if topic is None:
                 continue
             is_state = topic == TWIN_TOPICS.joint_states
-            back = self._twin(node).step_back(message) if is_state else 0
-            # Earlier messages belong to the former rig, or to the former repetition
-            if topic == TWIN_TOPICS.journal or back:
-                self._draw(node, waiting.pop(node, {}))
-                self._twin(node).canvas.delay += back  # draw a repetition after what is drawn
-            waiting[node][topic].append(message)
+            delay_of = self._twin(node).delay_of if is_state else lambda _: 0
+            for delay, batch in groupby(run, delay_of):
+                is_repetition = is_state and delay > self._twin(node).canvas.delay
+                # Earlier messages belong to the former rig, or to the former repetition
+                if is_repetition or topic == TWIN_TOPICS.journal:
+                    self._draw(node, waiting.pop(node, {}))
+                if is_repetition:
+                    self._twin(node).canvas.delay = delay
+                waiting[node][topic].extend(batch)
         for node, groups in sorted(waiting.items(), reverse=True):  # lines of the log come last
             self._draw(node, groups)
         if self._is_live:
@@ -122,7 +113,8 @@ class Scene:
 
     def arrange(self) -> None:
         """Send the layout if it has changed, as every call of `show` does in a live view."""
-        twins = [twin.layout_state(self._canvas) for twin in self.drawn_twins()]
+        log, views = {layout.LOG} if self._canvas.is_drawn else set(), self.drawn_twins()
+        twins = [replace(v.layout, present=v.layout.present | log) for v in views]
         if twins != self._arranged:
             self._arranged = twins
             timeline = layout.STAMP if self._canvas.throw is None else layout.THROW_TIME
@@ -131,7 +123,7 @@ class Scene:
     def _twin(self, node: str) -> _TwinView:
         if node not in self._twins:
             root = rr.new_entity_path(node.split('/'))
-            self._twins[node] = _TwinView(node, self._new_canvas(root))
+            self._twins[node] = _TwinView(node, self._new_canvas(root=root))
         return self._twins[node]
 
     def drawn_twins(self) -> list[_TwinView]:
@@ -143,7 +135,7 @@ class Scene:
         drawer = self._twin(node) if node else self
         for topic in [topic for topic in _DRAWERS if topic in groups]:
             messages = groups[topic]
-            batches = [messages] if topic.type == JOINT_STATE else [[item] for item in messages]
+            batches = [messages] if topic.joints else [[item] for item in messages]
             for batch in batches:
                 self._attempt(partial(_DRAWERS[topic], drawer), batch)
 
@@ -161,7 +153,7 @@ class Scene:
 
     def draw_line(self, message: Message) -> None:
         """Show a line of the log at the time of the twin, whose clock may be another one."""
-        line = decode(message)
+        line = cdr.decode(message)
         stamp = _to_ns(line.stamp)
         for twin in self.drawn_twins()[:1]:
             stamp = twin.stamp_of(message) + twin.canvas.delay
@@ -175,12 +167,11 @@ class _TwinView:
     def __init__(self, node: str, canvas: _Canvas) -> None:
         self.canvas = canvas
         self._journal = TwinJournal()
-        self._readers: dict[Channel, JointStateReader] = defaultdict(JointStateReader)
-        self._node = node
+        self._readers: dict[Channel, cdr.JointStateReader] = defaultdict(cdr.JointStateReader)
         self._newest = self._last = 0  # stamps of the last states received, and drawn [ns]
+        self._delay = 0  # by which stamps have gone back so far [ns]
         self._offset = 0  # from the time of publishing to the stamp [ns]
-        self._present: set[str] = set()  # optional panels that are there
-        self._diameter, self._height = 12.0, 60.0  # of the side view, before the first rig [mm]
+        self.layout = layout.TwinLayout(canvas.root, node)
         self._layer_at_rest: tuple[rr.AsComponents, ...] = ()
         phases, colours = zip(*layout.PHASES.items(), strict=True)
         canvas.style('phase', rr.StateConfiguration(values=phases, colors=colours))
@@ -191,29 +182,18 @@ class _TwinView:
         cursor = rr.LineStrips2D.from_fields(colors=[RED], radii=rr.Radius.ui_points(1.0))
         canvas.style('strain/now', cursor)
 
-    def layout_state(self, log: _Canvas) -> layout.TwinLayout:
-        """Return the state of the layout."""
-        twin = self._journal
-        scale = twin.time_scale if self.canvas.throw is None else 1.0
-        return layout.TwinLayout(
-            root=self.canvas.root,
-            title=self._node,
-            period=1.0 if twin.rig is None else 1.0 / (twin.rig.engine.frequency * scale),
-            diameter=self._diameter,
-            height=self._height,
-            present=self._present | ({layout.LOG} if log.is_drawn else set()),
-        )
-
-    def step_back(self, state: Message) -> int:
-        """Return how far stamps go back to a state, as when a replay repeats a bag [ns]."""
-        last, self._newest = self._newest, stamp_of(state.data) or self._newest
-        return last - self._newest if last > self._newest + _STEP_BACK else 0
+    def delay_of(self, state: Message) -> int:
+        """Return the delay by which a repetition, whose stamps go back, is drawn last [ns]."""
+        last, self._newest = self._newest, cdr.stamp_of(state.data) or self._newest
+        if last > self._newest + _STEP_BACK:
+            self._delay += last - self._newest
+        return self._delay
 
     def stamp_of(self, message: Message) -> int:
         """Return the stamp of a message without one [ns]."""
         return message.published + self._offset
 
-    def _read_joints(self, messages: Sequence[Message]) -> JointStates:
+    def _read_joints(self, messages: Sequence[Message]) -> cdr.JointStates:
         return self._readers[messages[0].channel].read_all([item.data for item in messages])
 
     # plots
@@ -226,9 +206,9 @@ class _TwinView:
         counts = {array.shape[1] for array in values.values()}
         if names[0] not in joints.names or counts != {len(joints.names)}:
             return  # of another machine
-        indices = [joints.names.index(name) if name in joints.names else -1 for name in names]
+        column = [joints.names.index(name) if name in joints.names else -1 for name in names]
         for name, array in values.items():
-            values[name] = np.pad(array, ((0, 0), (0, 1)), constant_values=math.nan)[:, indices]
+            values[name] = np.where(np.array(column) < 0, math.nan, array[:, column])
         stamps = joints.stamps
         if topic == TWIN_TOPICS.measured_joint_states:
             if twin.rest_heights is None or twin.rig is None:
@@ -242,7 +222,7 @@ class _TwinView:
             self._last = int(stamps[-1])
             self._offset = self._last - messages[-1].published
             translation = np.zeros((stamps.size, 3))
-            for name, height in zip(JOINTS, values['position'].T, strict=True):
+            for name, height in zip(topic.joints, values['position'].T, strict=True):
                 translation[:, 1] = -_MILLI * height
                 columns = rr.Transform3D.columns(translation=translation)
                 self.canvas.columns(f'side/{name}', stamps, columns)
@@ -268,7 +248,7 @@ class _TwinView:
         """Draw lines of a plot, of values in SI units."""
         columns = rr.Scalars.columns(scalars=values * layout.LINES[name].factors)
         self.canvas.columns(name, stamps, columns)
-        self._present.add(name)
+        self.layout.present |= {name}
 
     # the rig to scale: in mm, downwards as Rerun has it
 
@@ -281,9 +261,11 @@ class _TwinView:
 
     def _draw_rig(self, stamp: int, rig: Rig) -> None:
         """Draw the bodies of a rig with their names, which follow plate and projectile."""
-        self._diameter = diameter = _MILLI * rig.layer.diameter
+        self.layout.diameter = diameter = _MILLI * rig.layer.diameter
         length, thickness = _MILLI * rig.projectile.length, _MILLI * rig.layer.thickness
-        self._height = 1.35 * (thickness + length) + 0.8 * diameter
+        self.layout.height = 1.35 * (thickness + length) + 0.8 * diameter
+        scale = self._journal.time_scale if self.canvas.throw is None else 1.0
+        self.layout.period = 1.0 / (rig.engine.frequency * scale)
         grey, blue = (np.full((1, 1, 3), colour, np.uint8) for colour in (GREY, BLUE))
         for name, content in {
             'plate/body': _picture(grey, -0.75 * diameter, 0.0, 1.5 * diameter, 0.15 * diameter),
@@ -317,12 +299,10 @@ class _TwinView:
         if ejection_time < end:
             place = width * ejection_time / end
             marks.append((place, -0.3, f'tₑ {_MILLI * ejection_time:.2f} ms'))
-        for name, content in {
-            'picture': _picture(pixels, 0.0, 0.0, width, 1.0),
-            'scale': _picture(scale, width + 0.1, 0.0, 0.1, 1.0),
-            'text': _texts(*marks),
-        }.items():
-            self.canvas.draw(f'strain/{name}', int(stamps[0]), *content)
+        start = int(stamps[0])
+        self.canvas.draw('strain/picture', start, *_picture(pixels, 0.0, 0.0, width, 1.0))
+        self.canvas.draw('strain/scale', start, *_picture(scale, width + 0.1, 0.0, 0.1, 1.0))
+        self.canvas.draw('strain/text', start, *_texts(*marks))
         cursors = np.zeros((stamps.size, 2, 2), np.float32)
         cursors[:, :, 0] = (width * times / end)[:, None]
         cursors[:, 1, 1] = 1.0
@@ -331,8 +311,8 @@ class _TwinView:
         self.canvas.columns('strain/now', np.append(stamps, after), strips)
         length = _MILLI * np.trapezoid(1.0 + strain, heights, axis=1)
         corners, scales = np.zeros((length.size, 3)), np.ones((length.size, 3))
-        corners[:, 0], corners[:, 1] = -0.5 * self._diameter, -length
-        scales[:, 0], scales[:, 1] = self._diameter, length / FIELD_POINTS
+        corners[:, 0], corners[:, 1] = -0.5 * self.layout.diameter, -length
+        scales[:, 0], scales[:, 1] = self.layout.diameter, length / FIELD_POINTS
         rows = charts.signed_colours(strain[:, ::-1], limit)
         columns = [
             *rr.Image.columns(buffer=[row.tobytes() for row in rows]),
@@ -399,17 +379,17 @@ def _drawn_topic(name: str, type_name: str) -> tuple[str, Topic | None]:
 
 def _read_cloud(message: Message, topic: Topic) -> Floats:
     """Read the points of a cloud with the fields of a topic, shape (rows, columns, fields)."""
-    cloud, count = decode(message), len(topic.axes)
+    cloud, count = cdr.decode(message), len(topic.axes)
     names = tuple(field.name for field in cloud.fields)
     shape = cloud.height, cloud.width, count
     if names != topic.axes or len(cloud.data) != 8 * math.prod(shape) or min(shape) < 1:
-        raise MessageError(f'a cloud of {", ".join(topic.axes)}, got {", ".join(names)}')
+        raise cdr.MessageError(f'a cloud of {", ".join(topic.axes)}, got {", ".join(names)}')
     return np.frombuffer(bytes(cloud.data), '<f8').reshape(shape)
 
 
 def _read_statuses(message: Message) -> Iterator[tuple[int, Any, words.Values]]:
     """Yield stamp, status and its named values, for each status of a DiagnosticArray."""
-    array = decode(message)
+    array = cdr.decode(message)
     for status in array.status:
         texts = {str(item.key): str(item.value) for item in status.values}
         numbers = {key: number for key in texts if (number := float_of(texts[key])) is not None}

@@ -17,15 +17,9 @@ import socket
 import subprocess
 import tempfile
 import time
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any
 
 from soft_throw_ros.recording.child_process import bound_to_parent
-
-if TYPE_CHECKING:
-    import rerun as rr
-    from rerun.experimental import ViewerClient
-
-Result = TypeVar('Result')
 
 HOST = '127.0.0.1'
 PORT = 9876  # default port of the viewer
@@ -43,8 +37,8 @@ class ViewerError(RuntimeError):
     """The viewer cannot be used; the message has the reason and the remedy."""
 
 
-def new_stream(name: str) -> rr.RecordingStream:
-    """Return a new recording without a sink, whose layout is not that of another name."""
+def new_stream(name: str) -> Any:
+    """Return a new `RecordingStream` without a sink, whose layout is not that of another name."""
     import rerun as rr
 
     stream = rr.RecordingStream(f'soft_throw_ros {name}', send_properties=False)
@@ -52,7 +46,7 @@ def new_stream(name: str) -> rr.RecordingStream:
     return stream
 
 
-def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
+def save_to(stream: Any, path: Path, *, is_live: bool) -> None:
     """Write a recording to a file from now on; raise OSError if that is not possible."""
     try:
         stream.save(path, write_footer=not is_live)  # a footer grows in memory with time
@@ -60,7 +54,7 @@ def save_to(stream: rr.RecordingStream, path: Path, *, is_live: bool) -> None:
         raise OSError(str(error)) from None
 
 
-def finish(stream: rr.RecordingStream, path: Path | str, seconds: float = math.inf) -> None:
+def finish(stream: Any, path: Path | str, seconds: float = math.inf) -> None:
     """Send all waiting data, and disconnect; raise OSError if that does not succeed in time."""
     try:
         stream.flush(timeout_sec=seconds)
@@ -69,7 +63,7 @@ def finish(stream: rr.RecordingStream, path: Path | str, seconds: float = math.i
     stream.disconnect()
 
 
-def serve(stream: rr.RecordingStream, port: int) -> None:
+def serve(stream: Any, port: int) -> None:
     """Send a recording to viewers that connect, on this machine only."""
     import rerun as rr
 
@@ -120,11 +114,8 @@ class Viewer(contextlib.AbstractContextManager['Viewer']):
         self.port = port
         self._errors = tempfile.TemporaryFile('w+', errors='replace')  # noqa: SIM115
         self._process = subprocess.Popen(
-            command if stays else bound_to_parent(command),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=self._errors,
-            start_new_session=True,
+            command if stays else bound_to_parent(command), start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=self._errors,
             # CI stops the statistics for the makers of Rerun; RUST_LOG, notices in the window
             env={'RUST_LOG': 'error', **os.environ, 'CI': '1'},
         )
@@ -140,7 +131,7 @@ class Viewer(contextlib.AbstractContextManager['Viewer']):
         """Wait until it listens; raise ViewerError if it ends before."""
         _request(partial(listens, self.port), self)
 
-    def client(self) -> ViewerClient:
+    def client(self) -> Any:
         """Return a client after a first picture; raise ViewerError if the viewer cannot draw."""
         self.wait()
         client = _request(partial(_connect, self.port), self)
@@ -153,7 +144,7 @@ class Viewer(contextlib.AbstractContextManager['Viewer']):
         client = self.client()
         _open(client, path, timeline, seconds)
         time.sleep(_SETTLE_TIME)
-        return _request(client.take_screenshot, self)
+        return bytes(_request(client.take_screenshot, self))
 
     def last_words(self) -> str | None:
         """Return the first line of its errors after it has ended; None while it runs."""
@@ -168,21 +159,21 @@ def show(path: Path, port: int, timeline: str, seconds: float | None) -> None:
     if not listens(port):
         if not has_display():
             raise ViewerError(
-                'there is no screen for a window (DISPLAY and WAYLAND_DISPLAY are not set), and '
-                f'no viewer at {HOST}:{port}; take --save FILE.rrd or --screenshot FILE.png, or '
-                f'start one where there is a screen: {find_viewer()} --bind {HOST} --port {port}'
+                f'there is no screen for a window, and no viewer at {HOST}:{port}; take --save '
+                'FILE.rrd or --screenshot FILE.png, or start one where there is a screen: '
+                f'{find_viewer()} --bind {HOST} --port {port}'
             )
         Viewer(port, stays=True).wait()
     _open(_request(partial(_connect, port)), path, timeline, seconds)
 
 
-def _connect(port: int) -> ViewerClient:
+def _connect(port: int) -> Any:
     from rerun.experimental import ViewerClient
 
     return ViewerClient.connect(url_of(port))
 
 
-def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None) -> None:
+def _open(client: Any, path: Path, timeline: str, seconds: float | None) -> None:
     """Open a recording in a viewer, and move the cursor to a time of it [s]."""
     _request(partial(client.open, str(path)))
     _request(lambda: bool(client.get_state().recordings) and not client.get_state().loading)
@@ -190,7 +181,7 @@ def _open(client: ViewerClient, path: Path, timeline: str, seconds: float | None
         _request(partial(client.set_time, timeline, duration=seconds, play_state='paused'))
 
 
-def _request(request: Callable[[], Result], viewer: Viewer | None = None) -> Result:
+def _request(request: Callable[[], Any], viewer: Viewer | None = None) -> Any:
     """Repeat a request to a viewer while it times out or returns False."""
     reason, deadline = None, time.monotonic() + _TIMEOUT
     while reason is None and time.monotonic() < deadline:

@@ -10,7 +10,6 @@ import os
 from pathlib import Path
 import re
 import sys
-from typing import NamedTuple
 
 _TYPE = re.compile(r'([A-Za-z]\w*)/msg/([A-Za-z]\w*)')
 
@@ -20,22 +19,17 @@ _FIELD_TYPE = re.compile(
 )
 
 
-class SchemaError(ValueError):
+class SchemaError(Exception):
     """A message type has no definition in the searched folders, which the message names."""
 
 
-class Schema(NamedTuple):
-    """Definition of a message type."""
-
-    text: str  # the `.msg` files of the type and of its components, in MCAP's form `ros2msg`
-    type_hash: str  # `RIHS01_...`; empty where there is none, as in ROS 2 Humble
-
-
-def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
+def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> tuple[str, str]:
     """
     Return the definition of a type such as `sensor_msgs/msg/JointState`; SchemaError if none.
 
-    `prefixes` are folders of installed ROS packages, of which the first one with the type wins.
+    It is the `.msg` files of the type and of its components in MCAP's form `ros2msg`, and its
+    hash, `RIHS01_...`. `prefixes` are folders of installed ROS packages, of which the first one
+    with the type wins.
     """
     folders = [Path(prefix) / 'share' for prefix in prefixes]
     done = {type_name}
@@ -54,14 +48,9 @@ def find_schema(type_name: str, prefixes: Iterable[str | Path]) -> Schema:
     try:
         text = ''.join(texts(type_name))
         description = _path_of(type_name, folders).with_suffix('.json')
-        if not description.is_file():
-            return Schema(text, '')
         items = json.loads(description.read_text(encoding='utf-8'))['type_hashes']
-        hashes = {item['type_name']: str(item['hash_string']) for item in items}
-        return Schema(text, hashes[type_name])
-    except SchemaError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        return text, {item['type_name']: str(item['hash_string']) for item in items}[type_name]
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise SchemaError(f'{type_name}: its definition cannot be read, {error!r:.200}') from None
 
 
@@ -86,6 +75,4 @@ def _path_of(type_name: str, folders: list[Path]) -> Path:
         path = folder / match[1] / 'msg' / f'{match[2]}.msg'
         if path.is_file():
             return path
-    raise SchemaError(
-        f'no definition of {type_name} in {", ".join(map(str, folders)) or "no folder at all"}'
-    )
+    raise SchemaError(f'no definition of {type_name} in {", ".join(map(str, folders))}')

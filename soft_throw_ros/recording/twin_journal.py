@@ -90,14 +90,14 @@ class TwinJournal:
         self.settings = settings
 
     def _start_throw(self, entry: journal.Entry) -> None:
-        onset = journal.decode_onset(entry['onset']) if 'onset' in entry else None
-        if onset is None:
-            stamp = TickSchedule(**entry['schedule']).deadline(entry['step'])
-        self._take_effect(entry)
-        self.rest_heights = None
-        if onset is not None:
+        if 'onset' in entry:
+            onset = journal.decode_onset(entry['onset'])
             stamp, self.clock_offset_ns = onset.onset_ns, onset.clock_offset_ns
             self.rest_heights = onset.rest.plate, onset.rest.projectile
+        else:
+            stamp = TickSchedule(**entry['schedule']).deadline(entry['step'])
+            self.rest_heights = None
+        self._take_effect(entry)
         self.throw = ThrowStart(stamp=stamp, number=entry['throw'], time_scale=self.time_scale)
 
 

@@ -12,11 +12,10 @@ import time
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.storage.message import BagError, Channel, Message
 
-FLUSH_PERIOD = 0.5  # of writing, and of retries after an error of the disk [s]
+FLUSH_PERIOD = 0.5  # of writing, of retries after an error, and of looking for progress [s]
 OPEN_TIMEOUT = 3.0  # longest wait for the first attempt to create the bag [s]
 STALL_TIMEOUT = 15.0  # longest time without progress of the disk before closing gives up [s]
 _OVERHEAD = 500  # memory that a waiting message takes besides its data [bytes]
-_POLL = 0.1  # period of looking for progress at the end [s]
 
 
 class WriterThread:
@@ -59,7 +58,7 @@ class WriterThread:
         for message in messages:
             size = len(message.data) + _OVERHEAD
             self._count[message.channel] += 1
-            if size > free:
+            if size > free or not message.has_valid_times:
                 self._dropped[message.channel] += 1
             else:
                 free -= size
@@ -80,7 +79,7 @@ class WriterThread:
         self._closing.set()
         progress, since = 0, time.monotonic()
         while self._thread.is_alive() and time.monotonic() < since + STALL_TIMEOUT:
-            self._thread.join(_POLL)
+            self._thread.join(FLUSH_PERIOD)
             done = self._written_size + (self.bag.saved_size if self.bag is not None else 0)
             if done > progress:
                 progress, since = done, time.monotonic()
@@ -89,7 +88,8 @@ class WriterThread:
             self._is_over = True
 
     def _unsaved(self) -> Counter[Channel]:
-        return self._count - (self.bag.counts if self.bag is not None else Counter())
+        # A copy, since the caller of `put` may count a new channel meanwhile
+        return self._count.copy() - (self.bag.counts if self.bag is not None else Counter())
 
     def _run(self) -> None:
         is_last = False
@@ -118,12 +118,7 @@ class WriterThread:
             self.bag.wait_for_disk = self._wait_for_disk
         while self._waiting:
             message = self._waiting[0]  # which waits until it is written
-            try:
-                self.bag.write(message)
-            except BagError:
-                raise
-            except ValueError:  # its times
-                self._dropped[message.channel] += 1
+            self.bag.write(message)
             self._written_size += len(message.data) + _OVERHEAD
             self._waiting.popleft()
         self.bag.flush()

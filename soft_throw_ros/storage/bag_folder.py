@@ -61,25 +61,21 @@ class BagFolder:
 
 def check_not_written(path: Path) -> None:
     """Raise BagError if a `BagWriter`, in this or another process, writes the bag at a path."""
-    try:
-        folder = path if path.is_dir() else path.parent
-        os.close(lock_folder(folder, fcntl.LOCK_SH | fcntl.LOCK_NB))
-    except BlockingIOError:
-        raise BagError(f'{path} is being written; stop the recorder before') from None
-    except OSError:
-        pass  # missing or unreadable; reading the bag raises a better error
+    with contextlib.suppress(OSError):  # reading the bag raises a better error
+        descriptor = os.open(path if path.is_dir() else path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BagError(f'{path} is being written; stop the recorder before') from None
+        finally:
+            os.close(descriptor)
 
 
-def lock_folder(folder: Path, mode: int = fcntl.LOCK_EX) -> int:
+def lock_folder(folder: Path) -> int:
     """Lock a folder; return the descriptor that holds the lock, where there are locks at all."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(descriptor, mode)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise
-    except OSError:
-        pass  # a file system without locks
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
     return descriptor
 
 

@@ -10,6 +10,7 @@ import functools
 import heapq
 import io
 import itertools
+import operator
 import os
 from pathlib import Path
 import struct
@@ -29,6 +30,8 @@ MAX_RECORD = 64 * 2**20
 
 _END = struct.Struct('<BQQQI8s')
 """End of a file: head of the footer, offsets of both parts of the index, checksum, magic bytes."""
+
+_log_time = operator.attrgetter('log_time')
 
 _unique_channel = functools.cache(Channel)  # the files of a bag repeat their channels
 
@@ -72,18 +75,12 @@ def open_mcap(path: Path) -> io.BufferedReader:
 def _make_channel(record: mcap.Channel, schemas: Mapping[int, mcap.Schema]) -> Channel:
     """Return a channel; raise BagError if it is not of ROS 2."""
     if record.message_encoding != 'cdr':
-        raise BagError(
-            f'{record.topic} has messages in {record.message_encoding!r}, not in '
-            "'cdr' as those of ROS 2 are"
-        )
+        raise BagError(f"{record.topic} has messages in {record.message_encoding!r}, not in 'cdr'")
     schema = schemas[record.schema_id]
     return _unique_channel(
-        topic=record.topic,
-        type=schema.name,
-        schema=schema.data.decode(errors='replace'),
-        type_hash=record.metadata.get('topic_type_hash', ''),
+        topic=record.topic, type=schema.name, schema=schema.data.decode(errors='replace'),
+        type_hash=record.metadata.get('topic_type_hash', ''), schema_encoding=schema.encoding,
         qos=record.metadata.get('offered_qos_profiles', ''),
-        schema_encoding=schema.encoding,
     )
 
 
@@ -145,10 +142,8 @@ class _File:
     def messages(self, topics: Collection[str] | None, *, by_log_time: bool) -> Iterator[Message]:
         """Yield messages; raise UnfinishedError where a chunk is damaged."""
         if self._reader is None:
-            yield from sorted(
-                (m for m in self._messages if topics is None or m.channel.topic in topics),
-                key=lambda message: message.log_time if by_log_time else 0,
-            )
+            found = [m for m in self._messages if topics is None or m.channel.topic in topics]
+            yield from sorted(found, key=_log_time) if by_log_time else found
             return
         try:
             for _, _, record in self._reader.iter_messages(topics, log_time_order=by_log_time):
@@ -170,14 +165,12 @@ class _File:
         self._stream.seek(0)
         reader = SeekingReader(self._stream, validate_crcs=True)
         summary = reader.get_summary()
-        statistics = None if summary is None else summary.statistics
-        if (
-            summary is None
-            or statistics is None
-            or statistics.chunk_count != len(summary.chunk_indexes)
-            or statistics.channel_count != len(summary.channels)
-            or (statistics.message_count and not summary.chunk_indexes)
-        ):
+        if summary is None or (statistics := summary.statistics) is None:
+            return None
+        counts = len(summary.chunk_indexes), len(summary.channels)
+        if counts != (statistics.chunk_count, statistics.channel_count):
+            return None
+        if statistics.message_count and not summary.chunk_indexes:
             return None
         for chunk in summary.chunk_indexes:
             _check_size(max(chunk.chunk_length, chunk.uncompressed_size))
@@ -244,4 +237,4 @@ class BagReader(contextlib.AbstractContextManager['BagReader']):
         is_in_order = all(one[1] <= other[0] for one, other in itertools.pairwise(self._spans))
         if is_in_order or not by_log_time:  # a later file is not read before
             return itertools.chain(*found)
-        return heapq.merge(*found, key=lambda message: message.log_time)
+        return heapq.merge(*found, key=_log_time)

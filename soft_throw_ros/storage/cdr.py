@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from soft_throw_ros.storage.message import Message, SECOND
 
 Floats = NDArray[np.float64]
-_Series = tuple[float, ...]
-_Values = tuple[int, tuple[str, ...], _Series, _Series, _Series]  # stamp [ns], names, and series
 
 _HEADER = b'\x00\x01\x00\x00'
 """CDR, little endian, no options."""
@@ -35,9 +33,10 @@ class MessageError(ValueError):
 
 def stamp_of(data: bytes) -> int:
     """Return the stamp of a message that begins with a header; 0 if it is shorter [ns]."""
-    if len(data) < len(_HEADER) + _STAMP.size:
+    try:
+        seconds, nanoseconds = _STAMP.unpack_from(data, len(_HEADER))
+    except struct.error:
         return 0
-    seconds, nanoseconds = _STAMP.unpack_from(data, len(_HEADER))
     return int(seconds * SECOND + nanoseconds)
 
 
@@ -57,7 +56,7 @@ class _Layout:
     def __init__(self, texts: Sequence[bytes], counts: Sequence[int]) -> None:
         """`texts` are frame and names with their zero bytes, `counts` the lengths of series."""
         frame, *names = texts
-        self.names = tuple(name.rstrip(b'\x00').decode() for name in names)
+        self.names = tuple(name.rstrip(b'\x00').decode(errors='replace') for name in names)
         self._texts: list[int | bytes] = [len(frame), frame, len(names)]
         for name in names:
             self._texts += [len(name), name]
@@ -74,8 +73,8 @@ class _Layout:
         self._struct = struct.Struct(fields)
         self._counts = counts
 
-    def unpack(self, data: bytes) -> _Values | None:
-        """Read a message; return None if it has another layout."""
+    def unpack(self, data: bytes) -> Any:
+        """Read stamp [ns], names and series of a message; return None if it has another layout."""
         if len(data) < self._struct.size:  # some writers leave padding behind
             return None
         header, seconds, nanoseconds, *fields = self._struct.unpack_from(data)
@@ -131,12 +130,10 @@ class JointStateReader:
         arrays = [np.array(values, float) for values in series]
         return JointStates(np.array(stamps, np.int64), names, *arrays)
 
-    def _read(self, data: bytes) -> _Values:
+    def _read(self, data: bytes) -> Any:
         if (values := self._last.unpack(data)) is None:
             self._last = _find_layout(data)
             values = self._last.unpack(data)
-        if values is None:
-            raise MessageError('its lengths do not fit')
         return values
 
 
@@ -161,10 +158,7 @@ def _find_layout(data: bytes) -> _Layout:
     for _ in range(3):
         counts.append(number())
         take(8 * counts[-1], 8 if counts[-1] else 1)
-    try:
-        return _Layout(texts, counts)
-    except UnicodeDecodeError as error:
-        raise MessageError(f'a string is no UTF-8: {error}') from error
+    return _Layout(texts, counts)
 
 
 def decode(message: Message) -> Any:

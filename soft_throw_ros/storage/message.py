@@ -46,9 +46,14 @@ class Message(NamedTuple):
         """Time of publishing, or of receiving if the recorder did not note the former [ns]."""
         return self.publish_time or self.log_time
 
+    @property
+    def has_valid_times(self) -> bool:
+        """Whether MCAP and ROS can hold its times."""
+        return 0 <= (self.log_time | self.publish_time) <= LATEST
+
     def checked(self) -> Message:
-        """Return the message; raise ValueError if MCAP or ROS cannot hold its times."""
-        if not 0 <= (self.log_time | self.publish_time) <= LATEST:
+        """Return the message; raise ValueError if its times are invalid."""
+        if not self.has_valid_times:
             raise ValueError(
                 f'{self.channel.topic}: times must be at least 0 and below 2**63 ns, got '
                 f'{self.log_time} and {self.publish_time}'

@@ -23,7 +23,7 @@ class RecordedPositions:
         self.unreadable = 0  # number of messages that are no JointState
         self.names: set[str] = set()  # of all joints of the topic
         # time of the rig over that of the stamps
-        self.time_scale = float(settings.get('time_scale', 1.0))
+        self.time_scale: float = settings.get('time_scale', 1.0)
 
 
 def read_positions(
@@ -47,15 +47,16 @@ def read_positions(
         # A message may lack a joint, or all positions
         positions = dict(zip(states.names, states.position[0].tolist()))  # noqa: B905
         recorded[topic].names.update(states.names)
-        names = [settings[topic].get(f'joint_names.{joint}', joint) for joint in joints]
+        names = [str(settings[topic].get(f'joint_names.{joint}', joint)) for joint in joints]
         row = [positions.get(name, math.nan) for name in names]
         recorded[topic].rows.setdefault(int(states.stamps[0]), row)
     return recorded
 
 
 def _settings_beside(reader: BagReader, topic: str) -> Mapping[str, Any]:
-    """Return the settings with which the journal beside a topic starts; empty without one."""
+    """Return the settings with which the journal beside a topic starts; empty without any."""
     for message in reader.messages([f'{topic.rpartition("/")[0]}/journal']):
-        with contextlib.suppress(MessageError, AttributeError, ValueError, TypeError, KeyError):
-            return dict(json.loads(decode(message).data)['settings'])
+        with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            settings = dict(json.loads(decode(message).data)['settings'])
+            return {**settings, 'time_scale': float(settings.get('time_scale', 1.0))}
     return {}

@@ -147,7 +147,8 @@ def test_bag_is_locked_and_never_overwritten(tmp_path):
         with pytest.raises(ValueError, match=r'/plain: .* got -1 and 0'):
             writer.write(plain(0)._replace(log_time=-1))
         for name, reason in (
-            ('bag', 'bag exists'), ('file', 'file exists'), ('file/bag', 'bag: Not a directory'),
+            ('bag', 'bag: File exists'), ('file', 'file: File exists'),
+            ('file/bag', 'bag: Not a directory'),
         ):
             with pytest.raises(BagError, match=reason):
                 BagWriter(tmp_path / name, distribution='')

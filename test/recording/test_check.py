@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 import json
 import math
@@ -17,7 +18,7 @@ from ros_nodes import DrivenTwin, MILLISECOND, Ros
 from soft_throw_ros import configuration
 from soft_throw_ros.configuration.interface import JOINTS, TWIN_TOPICS
 from soft_throw_ros.core.rig import Rig
-from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult, Count
+from soft_throw_ros.recording.check import check_bag, CheckError, CheckResult
 from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.cdr import decode, JointStateEncoder
 from soft_throw_ros.storage.message import Message, SECOND
@@ -97,8 +98,8 @@ def test_bag_agrees_with_its_journal(request, tmp_path, name) -> None:
     assert (result.twin, result.differences) == ('/twin', [])
     assert result.exit_code == 0
     assert len(entries(twin, 'result')) >= 3
-    assert result.results == Count(same=len(entries(twin, 'checksum', 'result')))
-    assert result.states == Count(same=len(twin.of(TWIN_TOPICS.joint_states)))
+    assert result.results == Counter(same=len(entries(twin, 'checksum', 'result')))
+    assert result.states == Counter(same=len(twin.of(TWIN_TOPICS.joint_states)))
     assert 'to the last bit' in result.describe()
 
 
@@ -119,8 +120,8 @@ def test_one_bit_of_a_recorded_state_is_found_and_named(plain, tmp_path, step, i
     data = bytearray(message.data)
     data[blank.index(struct.pack('<d', index + 1)) + bit // 8] ^= 1 << bit % 8
     result = check(tmp_path, damaged(plain, message, bytes(data)))
-    assert (result.exit_code, result.results.different) == (1, 0)
-    assert result.states == Count(same=2199, different=1)
+    assert (result.exit_code, result.results['different']) == (1, 0)
+    assert result.states == Counter(same=2199, different=1)
     (difference,) = result.differences
     assert f'step {step}:' in difference
     assert State._fields[index] in difference
@@ -144,7 +145,7 @@ def test_wrong_checksums_and_results_are_named(plain, tmp_path, kind, name, coun
 
     result = check(tmp_path, edited(plain, edit))
     assert result.exit_code == 1
-    assert result.results.different == len(result.differences) >= count
+    assert result.results['different'] == len(result.differences) >= count
     assert all(name in line for line in result.differences)
 
 
@@ -155,14 +156,14 @@ def test_wrong_checksums_and_results_are_named(plain, tmp_path, kind, name, coun
 def test_inconsistent_journal_is_a_difference(plain, tmp_path, values) -> None:
     result = check(tmp_path, edited(plain, lambda e: e | values if e['kind'] == 'input' else e))
     assert result.exit_code == 1
-    assert result.results.same >= 6  # the next throws are checked again
+    assert result.results['same'] >= 6  # the next throws are checked again
 
 
 @pytest.mark.parametrize('lost', [range(700, 710), range(2090, 2200)])
 def test_missing_states_are_counted_and_no_difference(plain, tmp_path, lost) -> None:
     states = {id(plain.of(TWIN_TOPICS.joint_states)[number]) for number in lost}
     result = check(tmp_path, [item for item in plain.messages if id(item) not in states])
-    expected = Count(same=2200 - len(lost), missing=len(lost))
+    expected = Counter(same=2200 - len(lost), missing=len(lost))
     assert (result.exit_code, result.states) == (0, expected)
 
 
@@ -170,8 +171,8 @@ def test_bag_that_begins_late_is_checked_from_the_next_throw_on(plain, tmp_path)
     since = 450 * MILLISECOND + plain.messages[0].log_time
     result = check(tmp_path, [message for message in plain.messages if message.log_time >= since])
     step = entries(plain, 'throw')[1]['step']
-    assert (result.exit_code, result.states) == (0, Count(same=2200 - step))
-    assert result.results.missing == sum(entry['step'] < 450 for entry in entries(plain))
+    assert (result.exit_code, result.states) == (0, Counter(same=2200 - step))
+    assert result.results['missing'] == sum(entry['step'] < 450 for entry in entries(plain))
 
 
 def test_session_of_another_version_is_reported_as_not_compared(plain, tmp_path) -> None:

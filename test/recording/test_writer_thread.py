@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 import threading
 from typing import Any
@@ -12,7 +13,7 @@ from bags import PLAIN, plain, read, saved, wait_until
 from soft_throw_ros.recording import writer_thread
 from soft_throw_ros.recording.bag_writer import BagWriter
 from soft_throw_ros.recording.writer_thread import WriterThread
-from soft_throw_ros.storage.message import Message
+from soft_throw_ros.storage.message import Channel, Message
 
 SEVEN = [plain(number) for number in range(7)]
 
@@ -83,6 +84,26 @@ def test_hanging_disk_delays_the_end_for_a_bounded_time_and_drops_are_counted(
     goes_on.set()
     wait_until(lambda: all(item.name != 'bag' for item in threading.enumerate()))
     assert numbers(tmp_path) == list(range(101))
+
+
+def test_new_channel_may_appear_while_the_waiting_messages_are_counted(tmp_path) -> None:
+    (tmp_path / 'bag').write_text('in the way')
+    writer, is_counted = start(tmp_path), threading.Event()
+
+    class LookedUp(Channel):
+        """A channel at whose look-up another thread puts a message of a new one."""
+
+        def __hash__(self) -> int:
+            if is_counted.is_set():
+                writer.put([plain(0)._replace(channel=replace(PLAIN))])
+            return 0
+
+    writer.put([plain(0)._replace(channel=LookedUp(topic='/a', type='', schema=''))])
+    is_counted.set()
+    assert writer.waiting == 1
+    is_counted.clear()
+    assert writer.waiting > 1
+    writer.close()
 
 
 def test_messages_except_those_with_invalid_time_are_written_in_order(tmp_path) -> None:

@@ -80,6 +80,7 @@ def test_joints_are_found_by_the_names_of_the_journal_and_other_messages_are_cou
         return joint_state(names, [values, [], []], stamp=stamp)
 
     contents = [
+        *((JOURNAL, text(line)) for line in ('[' * 100_000, '{"settings":{"time_scale":null}}')),
         (JOURNAL, text(SETTINGS)),
         (STATES, positions(('projectile', 'plate', 'table'), [2.0, 9.0, 1.0], 0)),
         (STATES, positions(('table',), [3.0], 5)),
