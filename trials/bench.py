@@ -27,6 +27,7 @@ ERRORS = {'mass': 0.01, 'thickness': 1e-4, 'diameter': 1e-4}
 _START = (14e-3, 18e-3)  # range of the start of a throw in its record [s]
 _SLOWEST = 0.5  # smallest ejection speed, over the peak speed of the plate [-]
 _LATEST = 1.2  # latest release [plate periods]
+_SEEN = 1.0 / RATES[1]  # shortest first release: no camera sees a shorter one [s]
 _DRAWS = 1000  # largest number of rigs that are drawn for one throw
 
 
@@ -96,13 +97,14 @@ class Bench:
         raise RuntimeError(f'none of {_DRAWS} random rigs has an acceptable throw')
 
     def _accepts(self, thrown: ImperfectThrow) -> bool:
-        """Return whether the projectile rests until the throw, and is released soon and fast."""
+        """Return whether the projectile rests until the throw, and leaves soon, fast and seen."""
         if not thrown.events:
             return False
-        release, engine = thrown.events[0], thrown.rig.engine
+        (release, *later), engine = thrown.events, thrown.rig.engine
         fast = _SLOWEST * Underdamped.of(engine).peak_velocity
         is_soon = 0.0 < release.time < _LATEST / engine.frequency
-        return is_soon and release.velocity > fast and self.accept(thrown)
+        is_seen = not later or later[0].time - release.time > _SEEN
+        return is_soon and is_seen and release.velocity > fast and self.accept(thrown)
 
     def throw(self, rig: Rig, random: np.random.Generator) -> ImperfectThrow:
         """Simulate a throw with the imperfections of this bench."""
