@@ -155,8 +155,15 @@ def _best_of_grid(model: RigModel) -> list[Rig]:
 
 
 def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
-    """Return the sum of squares in each window for any zero of heights; infinity if impossible."""
+    """
+    Return the sum of squares in each window; infinity if impossible.
+
+    The zero of heights is free; delay and scale of the measurement are, too, within their priors.
+    """
     totals = [0.0] * len(_WINDOWS)
+    bench = [name for name in ('projectile.delay', 'projectile.scale') if name in model.indices]
+    priors = [model.description.known(name, rig) for name in bench]
+    stiffness = np.diag([0.0, *(1.0 / prior.error if prior else 0.0 for prior in priors)])
     for number, body, track in model.projectiles:
         changed = changed_rig(model.rig_of(start, number), values_of(rig, LAYER))
         since = (track.time - model.value(start, START, number)) * rig.engine.frequency
@@ -167,13 +174,15 @@ def _mismatches(model: RigModel, start: Floats, rig: Rig) -> list[float]:
             path = model.trajectory(start, number, body, track.time[union], changed)
         except FitError:
             return [math.inf] * len(_WINDOWS)
+        slopes = {'projectile.delay': -path.velocity, 'projectile.scale': path.height}
+        columns = np.stack([np.ones(union.size), *(slopes[name] for name in bench)], axis=1)
         residual = track.position[union] - path.height
         for window, some in enumerate(chosen):
-            if some.size:
-                part = residual[np.searchsorted(union, some)]
-                weights = track.deviations[some] ** -2
-                zero = np.average(part, weights=weights)
-                totals[window] += float(weights @ (part - zero) ** 2)
+            part, noise = np.searchsorted(union, some), track.deviations[some]
+            system = np.concatenate([columns[part] / noise[:, None], stiffness])
+            target = np.pad(residual[part] / noise, (0, len(stiffness)))
+            best = system @ np.linalg.lstsq(system, target, rcond=None)[0]
+            totals[window] += float(np.sum((target - best) ** 2))
     return totals
 
 
