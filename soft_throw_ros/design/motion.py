@@ -19,7 +19,8 @@ For a neo-Hookean layer the programme uses the linear layer of the same modulus 
 stepper simulates the motions for several times of release, with the layer itself, and the best
 throw is chosen. A rig that differs by the uncertainties may throw early, where the force nearly
 ends. If a motion loses more than 7 % of the speed so, it is designed once more, with a pushing
-contact force on the slowest and on the fastest layer and projectile as well.
+contact force on the slowest and on the fastest layer and projectile as well, and, if even this one
+loses as much, for other times of release.
 
 A wave that leaves the plate later than one crossing time before T cannot reach the projectile
 before the release; from then on the plate brakes. A quintic leads it back to its first height. The
@@ -225,17 +226,18 @@ def design_motion(
     promised = speed_at(longest)
     index = bisect.bisect_left(shorter, (1.0 - _NEGLIGIBLE) * promised, key=speed_at)
     time = [*shorter, longest][index]
-    best: Throw | None = None
+    best, kept = None, 0.0
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        if not (throw := throw_at(time_factor * time)):
-            continue
-        rigs = [replace(other, engine=throw.rig.engine) for other in others]
-        speeds = [float(throw_many(other).ejection_speed) for other in rigs]
-        if not all(speed > _KEPT_SPEED * throw.ejection_speed for speed in speeds):
-            throw = throw_at(time_factor * time, others) or throw
-        best = max(throw, best or throw, key=lambda item: item.ejection_speed)
+        for rigs in ([], others) if others else ([],):
+            throw = throw_at(time_factor * time, rigs)
+            if throw and (speed := _slowest(throw, others)) > kept:
+                best, kept = throw, speed
+            if best and kept > _KEPT_SPEED * best.ejection_speed:
+                break
         is_exact = rig.layer.stress_strain_law == 'linear'
-        if is_exact and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised:
+        if is_exact and best and kept > _KEPT_SPEED * best.ejection_speed and (
+            best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised
+        ):
             break
     if best is None:
         raise ThrowUnresolvedError(
@@ -261,6 +263,13 @@ def _corners(rig: Rig, uncertainties: Uncertainties) -> list[Rig]:
         rig_with(rig, {'wave_speed': speed + error, 'thickness': thickness + size, 'mass': mass})
         for error, size, mass, *_ in uncertainties.variants(rig, offsets).tolist()
     ]
+
+
+def _slowest(throw: Throw, others: Iterable[Rig]) -> float:
+    """Return the lowest speed of the motion of a throw on its rig and on others [m/s]."""
+    rigs = [replace(other, engine=throw.rig.engine) for other in others]
+    speeds = [float(throw_many(other).ejection_speed) for other in rigs]
+    return float(np.min(np.nan_to_num([throw.ejection_speed, *speeds])))
 
 
 def _times(rig: Rig, limits: PlateLimits) -> Iterator[float]:
@@ -440,7 +449,7 @@ class _Programme:
         rows = _lagged(force, np.arange(1, _FINER * release + 1), size, _FINER)
         rows /= nominal.layer.impedance
         rows[np.abs(rows) < 1e-9 * np.abs(rows).max()] = 0.0
-        least = (_MIN_CONTACT_FORCE if rig is nominal else 0.0) - 1.0
+        least = _MIN_CONTACT_FORCE - 1.0
         scale = self._limits.speed * nominal.layer.impedance
         bound = np.full(len(rows), least * rig.projectile.mass * rig.gravity / scale)
         times = step * np.arange(1, len(rows) + 1)

@@ -45,6 +45,7 @@ MAX_STUCK_FRACTION = 0.05
 
 _LARGEST_CHANGE = 0.5  # largest relative tolerance of a layer [-]
 _COARSE_ERROR = 2e-3  # relative error of scores with `SEARCH_CELLS` [-]
+_HOLDING_GRAVITY = 4.0  # over the largest acceleration of the plate; beyond, nothing is thrown [-]
 _MAX_CANDIDATES = 5  # layers of the library that are compared with all cells
 
 
@@ -321,6 +322,8 @@ class _Search(NamedTuple):
         optima: list[tuple[_Space, Optimum]] = []
         layers = [(layer.thickness, layer.wave_speed) for layer in starts]
         for space in spaces:
+            if space.rig.gravity_ratio > _HOLDING_GRAVITY:
+                continue
             score = self._score(space.rig, SEARCH_CELLS if space.rig.layer.needs_cells else None)
             optimum = maximise(
                 score,

@@ -44,7 +44,7 @@ class Floor(NamedTuple):
 FLOORS: Mapping[str, Floor] = {
     # A plate that rings before its throw
     'engine.frequency': Floor(0.05, '%'),
-    'engine.damping_ratio': Floor(8e-4, ''),
+    'engine.damping_ratio': Floor(1.0, '%'),
     'engine.amplitude': Floor(0.15, '%'),
     # A stress law that another wave speed does not explain, and modes of the plate
     'layer.wave_speed': Floor(2.5, '%'),

@@ -135,9 +135,11 @@ def cloud_to_msg(header: Header, names: Sequence[str], points: NDArray[np.float6
     )
 
 
-def throw_result_to_msg(result: ThrowResult, node_name: str) -> DiagnosticStatus:
-    """Create a status from the result of a throw and its rig."""
-    values = {**result.values(), **rig_values(result.rig)}
+def throw_result_to_msg(
+    result: ThrowResult, node_name: str, additional: Mapping[str, float] = MappingProxyType({})
+) -> DiagnosticStatus:
+    """Create a status from the result of a throw, its rig, and additional values."""
+    values = {**result.values(), **additional, **rig_values(result.rig)}
     is_bad = not (result.is_linear and result.is_valid)
     return status_to_msg(node_name, 'throw', throw_text(result), values, warn=is_bad)
 

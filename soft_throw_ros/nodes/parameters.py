@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+import math
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.parameter import Parameter
 from soft_throw_ros.configuration import files, ParameterError, Settings, Table, Value
 from soft_throw_ros.configuration.table import Entry, quote
@@ -23,8 +24,8 @@ class NodeParameters:
     settings before they are accepted, and with its result for the present ones, `checked`, None at
     first; it refuses by ValueError. `arguments` name the files in a ParameterError at the start.
 
-    rclpy checks names and types before it calls the on-set callbacks, and its reasons lack names
-    and values. So the pre-set callback checks requests, in the executor's thread.
+    rclpy checks names, types and ranges before it calls the on-set callbacks, and its reasons lack
+    names and values. So the pre-set callback checks requests, in the executor's thread.
     """
 
     def __init__(
@@ -119,9 +120,17 @@ def shown(value: object) -> str:
 
 
 def _descriptor(entry: Entry) -> ParameterDescriptor:
-    """Describe a parameter; its range is a text, because rclpy would check it without reasons."""
     unit = f' [{entry.unit}]' if entry.unit else ''
     constraints = ': '.join(filter(None, (entry.rule, ', '.join(entry.examples))))
-    return ParameterDescriptor(
+    descriptor = ParameterDescriptor(
         description=f'{entry.meaning}{unit}', additional_constraints=constraints
     )
+    low = 0 if entry.or_zero else entry.low
+    if not math.isfinite(low) or isinstance(entry.default, tuple):
+        return descriptor  # ROS has no ranges for lists
+    if isinstance(entry.default, int):
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(entry.high))]
+    else:
+        limits = FloatingPointRange(from_value=float(low), to_value=float(entry.high))
+        descriptor.floating_point_range = [limits]
+    return descriptor

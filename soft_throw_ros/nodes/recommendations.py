@@ -14,12 +14,14 @@ from typing import Any
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import motions, rig_values, TWIN
+from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
+from soft_throw_ros.core.rig import Rig
 from soft_throw_ros.design.aiming import Aim
 from soft_throw_ros.design.motion import MotionDesign
+from soft_throw_ros.design.prediction import prediction_uncertainty, Uncertainties
 from soft_throw_ros.design.recommendation import RequestResult, solve_request
 from soft_throw_ros.nodes.conversions import status_to_msg
 from soft_throw_ros.storage.regular_file import atomic_file
@@ -93,11 +95,13 @@ class Recommender:
     """
     A thread that computes recommendations and aims, and calls `publish` with each in this thread.
 
-    A newer request cancels all earlier ones.
+    A newer request cancels all earlier ones. After that it computes the uncertainty of throws of
+    the rig.
     """
 
     def __init__(self, publish: Callable[[RecommendationState], None]) -> None:
         self.request: TwinConfig  # the latest
+        self.uncertainty: tuple[Rig | None, dict[str, float]] = None, {}  # of throws of a rig
         self._publish = publish
         self._is_waiting = threading.Event()
         self._is_closing = threading.Event()
@@ -122,6 +126,8 @@ class Recommender:
             state = recommend_for(self.request, self._is_waiting.is_set)
             if not self._is_waiting.is_set():
                 self._publish(state)
+                rig = state.config.rig
+                self.uncertainty = rig, uncertainty_values(rig, state.config.settings)
             self._is_closing.wait(_INTERVAL)
 
 
@@ -136,3 +142,12 @@ def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> Recommen
         traceback.print_exc()
         reason = f'the search has failed: {error!r}'
     return RecommendationState(config=config, best=best, reason=reason)
+
+
+def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
+    """Return the uncertainty of a rig's throw, as values of a status."""
+    try:
+        uncertainty = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
+    except ValueError:
+        return {}
+    return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}

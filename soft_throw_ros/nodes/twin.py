@@ -33,6 +33,7 @@ from soft_throw_ros.twin.results import known_values, Outputs, Phase, ThrowResul
 from soft_throw_ros.twin.session import RequestRejected, Session
 
 _LINE_INTERVAL_NS = 9_900_000_000  # between two log lines about throws without a warning [ns]
+_WARNING_PERIOD = 10.0  # between two lines about the same fault [s]
 _MAX_LATE_SHARE = 0.01  # fraction of late ticks above which the timing is a warning [-]
 _MAX_COMPUTE_SHARE = 0.5  # fraction of the time in ticks, likewise [-]
 
@@ -128,7 +129,10 @@ class Twin(RealTimeNode):
         """Publish a result as one message, and the numbers of its first release, or NaN."""
         is_first, self._throw = result.throw != self._throw, result.throw
         send = self.outgoing.send
-        status = conversions.throw_result_to_msg(result, self.get_fully_qualified_name())
+        rig, uncertainty = self.recommender.uncertainty
+        beside = uncertainty if rig == result.rig else {}
+        name = self.get_fully_qualified_name()
+        status = conversions.throw_result_to_msg(result, name, beside)
         send(TWIN_TOPICS.throw_result, result.stamp(due), [status])
         first = result.first
         is_ejection = result.stage == 'release' or (result.stage == 'final' and first is None)
@@ -223,7 +227,14 @@ class Twin(RealTimeNode):
         super().on_second()
         self._run_jobs()  # in case a wake-up was lost
         if fault := self.session.diagnose_sensor():
-            self.get_logger().warning(fault, once=True)
+            self.get_logger().warning(fault, throttle_duration_sec=_WARNING_PERIOD)
+        name = self.get_fully_qualified_name()
+        if self.count_publishers(TWIN_TOPICS.journal.at(name).name) > 1:
+            self.get_logger().error(
+                f'another node is named {name}, and both publish on the same topics: start one of '
+                'them with -r __ns:=/NAMESPACE or -r __node:=NAME',
+                throttle_duration_sec=_WARNING_PERIOD,
+            )
         self.outgoing.report(TWIN_TOPICS.diagnostics, self._statuses())
 
     # Diagnostics, once per second (REP 107)

@@ -95,13 +95,26 @@ def test_strain_is_limited_everywhere_at_the_least_cost_in_speed():
 
 
 @pytest.mark.slow
-def test_best_motion_keeps_contact_within_the_uncertainties():
+@pytest.mark.parametrize(
+    ('engine', 'layer', 'mass'),
+    [
+        ((77.506, 2.7944e-3), (20.738e-3, 8.0269), 1.2504e-3),
+        # three crossings before the release, the projectile hardly presses on the fastest layer
+        ((62.8425, 2.1031e-3), (20.0169e-3, 6.53965), 0.748978e-3),
+        # also with a pushing force at all knots
+        ((56.0344, 2.84285e-3), (6.7818e-3, 11.5281), 0.437628e-3),
+    ],
+)
+def test_best_motion_keeps_contact_within_the_uncertainties(engine, layer, mass):
     """Without the errors in mind, a wave that is 2 % faster throws with a sixth of the speed."""
+    frequency, amplitude = engine
+    thickness, wave_speed = layer
     rig = Rig(
-        engine=Engine(frequency=77.506, amplitude=2.7944e-3),
-        layer=Layer(thickness=20.738e-3, wave_speed=8.0269), projectile=Projectile(mass=1.2504e-3),
+        engine=Engine(frequency=frequency, amplitude=amplitude),
+        layer=Layer(thickness=thickness, wave_speed=wave_speed), projectile=Projectile(mass=mass),
     )
-    design = design_motion(rig, uncertainties=Uncertainties(wave_speed=0.16))
+    error = 0.02 * wave_speed
+    design = design_motion(rig, uncertainties=Uncertainties(wave_speed=error))
     assert design.worst.ejection_speed > 0.93 * design.ejection_speed
     for factor in (0.98, 0.99, 1.0, 1.01, 1.02):
         layer = replace(rig.layer, wave_speed=factor * rig.layer.wave_speed)
