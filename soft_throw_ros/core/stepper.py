@@ -493,7 +493,7 @@ def cells_in_real_time(rig: Rig, cost: float, order: int, *, fewest: int = FEWES
             feasible = value * (1.001 * needed / limit) ** power
             raise ThrowUnresolvedError(
                 f'{name} {value:g} {unit} at layer.wave_speed {rig.layer.wave_speed:g} m/s needs '
-                f'{needed:.3g} cells, the limit is {limit:.3g}; '
+                f'{math.ceil(needed)} cells, the limit is {int(limit)}; '
                 f'feasible: {name} of {feasible:.4g} {unit} or {"more" if power > 0 else "less"}'
             )
     return int(min(max(needed_cells(rig), fewest), limit))

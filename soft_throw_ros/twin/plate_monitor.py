@@ -167,13 +167,13 @@ def _find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     if min(len(before), len(samples)) < FEWEST:
         return None
     # rounded samples at rest are all the same, so that their scatter underestimates the noise
-    noise = max(config.position_noise, float(before.plate.std()))
+    scatter = max(config.position_noise, float(before.plate.std()))
     projectile = before.projectile[np.isfinite(before.projectile)]
     rest = RestBaseline(
         plate=float(before.plate.mean()),
         projectile=float(projectile.mean()) if projectile.size else math.nan,
-        noise=noise,
-        error=noise / math.sqrt(len(before)),
+        noise=scatter,
+        error=scatter / math.sqrt(len(before)),
     )
     start, size = _fit_start(
         config.start_table, samples.seconds_since(begun_ns), samples.plate - rest.plate,
@@ -185,12 +185,14 @@ def _find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
         return None
     times, heights, speeds = config.start_table
     since = moved.seconds_since(onset_ns)
-    if size * (config.direction * np.interp(since, times, speeds)).max() < config.start_speed:
+    speed = size * config.direction * np.interp(since, times, speeds)
+    if speed.max() < config.start_speed:
         return None
     differences = moved.plate - rest.plate - size * np.interp(since, times, heights)
-    misfit = np.sort(np.abs(differences))[len(moved) // 2]
+    noise = np.hypot(rest.noise, config.stamp_error * speed)
     tolerance = 2.0 * AMPLITUDE_ERROR * config.plate.amplitude
-    if misfit > max(tolerance, OUTLIER_SIGMAS * rest.noise):
+    misfit = np.abs(differences) / np.maximum(tolerance, OUTLIER_SIGMAS * noise)
+    if np.sort(misfit)[len(moved) // 2] > 1.0:
         return None
     return Onset(onset_ns=onset_ns, rest=rest, samples=buffer.between(onset_ns - window_ns))
 
