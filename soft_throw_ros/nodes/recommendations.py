@@ -123,12 +123,20 @@ class Recommender:
     def _work(self) -> None:
         while self._is_waiting.wait() and not self._is_closing.is_set():
             self._is_waiting.clear()
-            state = recommend_for(self.request, self._is_waiting.is_set)
+            self._serve(self.request)
+            self._is_closing.wait(_INTERVAL)
+
+    def _serve(self, config: TwinConfig) -> None:
+        """Publish the recommendation for a configuration, then find the uncertainty of its rig."""
+        try:
+            state = recommend_for(config, self._is_waiting.is_set)
             if not self._is_waiting.is_set():
                 self._publish(state)
-                rig = state.config.rig
-                self.uncertainty = rig, uncertainty_values(rig, state.config.settings)
-            self._is_closing.wait(_INTERVAL)
+                self.uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
+        except Exception as error:  # noqa: BLE001  later requests must still be answered
+            traceback.print_exc()
+            reason = f'the search has failed: {error!r}'
+            self._publish(RecommendationState(config=config, reason=reason))
 
 
 def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> RecommendationState:
@@ -138,9 +146,6 @@ def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> Recommen
         best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
     except (SearchCancelledError, ValueError) as error:
         reason = str(error)
-    except Exception as error:  # noqa: BLE001  later requests must still be answered
-        traceback.print_exc()
-        reason = f'the search has failed: {error!r}'
     return RecommendationState(config=config, best=best, reason=reason)
 
 
