@@ -226,17 +226,20 @@ def design_motion(
     promised = speed_at(longest)
     index = bisect.bisect_left(shorter, (1.0 - _NEGLIGIBLE) * promised, key=speed_at)
     time = [*shorter, longest][index]
-    best, kept = None, 0.0
+    is_exact = rig.layer.stress_strain_law == 'linear'
+    best, kept = None, -math.inf
     for time_factor in _TIME_FACTORS if promised > 0.0 else ():
-        for rigs in ([], others) if others else ([],):
-            throw = throw_at(time_factor * time, rigs)
-            if throw and (speed := _slowest(throw, others)) > kept:
-                best, kept = throw, speed
-            if best and kept > _KEPT_SPEED * best.ejection_speed:
+        for rigs in ([], others):
+            if not (throw := throw_at(time_factor * time, rigs)):
                 break
-        is_exact = rig.layer.stress_strain_law == 'linear'
-        if is_exact and best and kept > _KEPT_SPEED * best.ejection_speed and (
-            best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised
+            speed = _slowest(throw, others)
+            if speed > kept:
+                best, kept = throw, speed
+            if speed > _KEPT_SPEED * throw.ejection_speed:
+                break
+        if (
+            is_exact and best and kept > _KEPT_SPEED * best.ejection_speed
+            and best.ejection_speed > (1.0 - _PROGRAMME_ERROR) * promised
         ):
             break
     if best is None:
