@@ -146,6 +146,12 @@ def _pattern_search(
         values = np.where(is_better, scores[rows, best], values)
         # the next patch lies between the points of this one
         widths = np.where(is_better & is_edge[best], widths, (_PATCH[1] - _PATCH[0]) * widths)
-        is_candidate = values >= (1.0 - NEAR * widths) * values.max()
+        order = np.argsort(-values, kind='stable')
+        points, values, widths = points[order], values[order], widths[order]
+        # end those much lower than the best, and those that a better one is in the middle of
+        inner = (_PATCH[1] - _PATCH[0]) * spacing * widths[:, None, None]
+        is_inside = (np.abs(points[:, None] - points) <= inner).all(axis=2)
+        is_candidate = values >= (1.0 - NEAR * widths) * values[0]
+        is_candidate &= ~np.tril(is_inside, -1).any(axis=1)
         points, values, widths = points[is_candidate], values[is_candidate], widths[is_candidate]
     return points, values
