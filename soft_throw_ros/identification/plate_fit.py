@@ -35,6 +35,7 @@ _MAX_SAMPLES = 4096  # largest number of samples in the computation of the table
 _SAMPLES_PER_PERIOD = 5.0  # samples per period of the highest frequency of the table
 _PERIODS_SEEN = 0.25  # periods of the lowest frequency of the table in the record
 _MAX_MISMATCH = 0.08  # largest residual of a plate, over the amplitude (rms)
+_USUAL_SHARE = 0.99  # of the residuals; outliers side by side are no spikes
 _BLOCK = 2**18  # numbers per block of the table, to limit memory
 
 
@@ -67,7 +68,9 @@ def fit_plate(track: Track) -> Fit:
             f'the plate does not move up: its height goes from {track.position.min():g} m to '
             f'{track.position.max():g} m, with a noise of {track.noise:.2g} m'
         )
-    residual = float(np.std(usual.position - position(best.values, usual.time)))
+    residuals = np.abs(usual.position - position(best.values, usual.time))
+    is_usual = residuals <= np.quantile(residuals, _USUAL_SHARE)
+    residual = float(np.sqrt(np.mean(residuals[is_usual] ** 2)))
     if residual > max(_MAX_MISMATCH * amplitude.value, 5.0 * track.noise):
         raise FitError(
             f'the plate does not move as a damped step: the best of {amplitude.value:.2g} m '

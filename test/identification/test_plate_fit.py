@@ -80,3 +80,13 @@ def test_plate_that_falls_or_has_no_recorded_rise_or_no_damped_step_is_refused()
     ):
         with pytest.raises(FitError, match=message):
             fit_plate(Track(time=time[part], position=position[part]))
+
+
+def test_outliers_side_by_side_are_no_other_motion():
+    time = np.arange(0.0, 0.1, 4e-4)
+    sound = track_of(Underdamped(**TRUTH), time, START, noise=5e-6)
+    position = sound.position.copy()
+    position[100:102] += 4e-3
+    found = fit_plate(replace(sound, position=position))
+    for name, value in (('engine.frequency', 63.2), ('engine.amplitude', 2e-3)):
+        assert found[name].value == pytest.approx(value, abs=4.0 * found[name].error)
