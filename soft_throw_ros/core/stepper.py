@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 import copy
 from functools import partial
-from itertools import pairwise
 import math
 from typing import Any, get_args, Literal, NamedTuple, TypeAlias
 
@@ -223,13 +222,11 @@ class Stepper:
         states = np.ascontiguousarray(states, dtype=np.float64)
         if not times.size:
             return
-        known = [float(self._core[0]['last'][0]), *times.tolist()]
-        is_allowed = all(before < time < math.inf for before, time in pairwise(known))
-        is_allowed &= all(map(math.isfinite, states.ravel().tolist())) and known[1] >= 0.0
-        if not is_allowed or states.shape != (times.size, 3):
+        if states.shape != (times.size, 3) or not _may_follow(self._core, times, states):
+            last = float(self._core[0]['last'][0])
             raise ValueError(
                 f'states must be three finite numbers each, at times from 0 on that increase '
-                f'from {known[0]:g} s, got {states.tolist()} at {times.tolist()} s'
+                f'from {last:g} s, got {states.tolist()} at {times.tolist()} s'
             )
         ahead = int(self._core[0]['pieces'] - self._core[1]['piece']) + times.size
         if ahead > CAPACITY:
@@ -238,7 +235,6 @@ class Stepper:
                 f'got {times.size} which makes {ahead}'
             )
         append_states(self._core, 0, self._path, times, states)
-        self._core['piece_end'][0] = -math.inf  # the present piece may end now
         self._core['horizon'][:2] = times[-1]
 
     def fork(self) -> Stepper:
@@ -407,9 +403,19 @@ def motion_at(s: Record, path: Floats, time: float) -> tuple[float, float, float
 
 
 @kernel
+def _may_follow(core: Record, times: Floats, states: Floats) -> bool:
+    """Return whether states are finite, and their times are not negative and increase."""
+    last, is_allowed = core[0].last[0], times[0] >= 0.0 and np.isfinite(states).all()
+    for time in times:
+        is_allowed, last = is_allowed and last < time < math.inf, time
+    return bool(is_allowed)
+
+
+@kernel
 def append_states(core: Record, row: int, path: Floats, times: Floats, states: Floats) -> None:
     """Append states (height, velocity, acceleration), joined by quintics, to one record."""
     s, last = core[row], core[row].last
+    s.piece_end = -math.inf  # the present piece may end now
     for n in range(times.size):
         if last[0] >= 0.0:
             piece = path[:, s.pieces % path.shape[1]]
@@ -429,7 +435,6 @@ def extrapolate(core: Record, path: Floats) -> None:
         piece[0], piece[1], piece[2] = last[0], last[1], last[2]
         piece[3], piece[4:] = 0.5 * last[3], 0.0
         s.pieces += 1
-    s.piece_end = -math.inf  # the present piece may end now
     s.horizon = core[1].horizon = math.inf
 
 

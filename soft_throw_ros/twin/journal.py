@@ -63,6 +63,8 @@ BATCH_TIME = 0.1
 STATE = struct.Struct(f'<{len(State._fields)}d')
 """Binary form of a state for checksums: its numbers in order, 8 bytes each, little endian."""
 
+_encode = json.JSONEncoder(separators=(',', ':'), allow_nan=False).encode
+
 _TYPES = {'kind': str, 'line': int, 'step': int, 'throw': int, 'versions': dict, 'result': dict}
 
 
@@ -101,15 +103,21 @@ def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
     samples and then their stamps, as differences from the last one, compressed by zlib; `heights`
     has those of plate and projectile, whose noise cannot be compressed.
     """
-    sizes = [len(samples) for _, samples in batches]
-    times, heights = np.zeros((2, sum(sizes)), '<i8'), b''
-    if batches:
-        times[0] = np.repeat([step for step, _ in batches], sizes)
-        times[1] = np.concatenate([samples.stamps for _, samples in batches])
-        heights = np.concatenate([samples.heights for _, samples in batches]).tobytes()
-    times[:, 1:] -= times[:, :-1].copy()
+    return _encode_rows(
+        [step for step, samples in batches for _ in range(len(samples))],
+        b''.join([samples.stamps.tobytes() for _, samples in batches]),
+        b''.join([samples.heights.tobytes() for _, samples in batches]),
+    )
+
+
+def _encode_rows(
+    steps: Sequence[int], stamps: bytes | bytearray, heights: bytes | bytearray
+) -> Entry:
+    """Encode the steps, stamps and heights of samples, see `encode_samples`."""
+    times = np.array((steps, np.frombuffer(stamps, '<i8')), '<i8')
+    times[:, 1:] -= times[:, :-1]
     return {
-        'count': sum(sizes),
+        'count': len(steps),
         'times': base64.b64encode(zlib.compress(times.tobytes(), 1)).decode(),
         'heights': base64.b64encode(heights).decode(),
     }
@@ -159,27 +167,35 @@ class JournalWriter:
     def __init__(self, on_line: Callable[[str], None], *, step: int) -> None:
         self._on_line = on_line
         self._line = 0
-        self._batches: list[tuple[int, Samples]] = []
+        # of stored samples, in rows because hundreds of small arrays are slow to encode
+        self._steps, self._stamps, self._heights = list[int](), bytearray(), bytearray()
+        self._conditions: Entry = {}  # of the last throw
+        self._encoded = ''
         self._begin_checksum(step)
 
-    def write(self, kind: str, step: int, **values: object) -> None:
-        """Write an entry, without `motions` if there are none."""
-        if self._batches:
+    def write(self, kind: str, step: int, encoded: str = '', /, **values: object) -> None:
+        """Write an entry, whose last values may be `encoded` already."""
+        if self._steps:
             self._flush(step)
-        if not values.get('motions', True):
-            del values['motions']
-        entry = {'kind': kind, 'line': self._line, 'step': step, **values}
-        self._on_line(json.dumps(entry, separators=(',', ':'), allow_nan=False))
+        line = _encode({'kind': kind, 'line': self._line, 'step': step, **values})
+        self._on_line(f'{line[:-1]}{encoded}}}')
         self._line += 1
 
-    def begin(self, kind: str, step: int, settings: Settings, **values: Any) -> None:
+    def begin(
+        self, kind: str, step: int, settings: Settings, motions: Mapping[str, str], **values: Any
+    ) -> None:
         """Write the start of a session or a throw, and begin a checksum."""
         self._write_checksum(step)
-        self.write(kind, step, settings=dict(settings), versions=dict(VERSIONS), **values)
+        conditions = {'settings': dict(settings), 'motions': motions, 'versions': VERSIONS}
+        if conditions != self._conditions:
+            self._conditions, self._encoded = conditions, f',{_encode(conditions)[1:-1]}'
+        self.write(kind, step, self._encoded, **values)
 
     def keep_samples(self, step: int, samples: Samples) -> None:
         """Store accepted samples for a later entry."""
-        self._batches.append((step, samples))
+        self._steps += [step] * len(samples)
+        self._stamps += samples.stamps.tobytes()
+        self._heights += samples.heights.tobytes()
 
     def write_result(self, step: int, result: ThrowResult) -> None:
         """Write the result of a throw."""
@@ -203,7 +219,7 @@ class JournalWriter:
 
     def close(self, step: int) -> None:
         """Write the remaining entries after the last step."""
-        if self._batches:
+        if self._steps:
             self._flush(step)
         self._write_checksum(step)
 
@@ -219,5 +235,6 @@ class JournalWriter:
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""
-        batches, self._batches = self._batches, []
-        self.write('samples', step, **encode_samples(batches))
+        entry = _encode_rows(self._steps, self._stamps, self._heights)
+        self._steps, self._stamps, self._heights = [], bytearray(), bytearray()
+        self.write('samples', step, **entry)

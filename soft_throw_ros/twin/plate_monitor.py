@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from soft_throw_ros.configuration.twin_config import MeasurementConfig
 from soft_throw_ros.core.kernels import kernel
 from soft_throw_ros.storage.message import SECOND
@@ -35,6 +36,20 @@ _START_STEPS = 6
 FEWEST_PER_CROSSING = 3
 """Fewest samples while a wave crosses the layer. [-]"""
 
+_MEMORY = np.dtype(
+    [
+        ('height', 'f8'),  # smoothed once [m]
+        ('later', 'f8'),  # smoothed twice [m]
+        ('speed', 'f8'),  # [m/s]
+        ('stamp', 'i8'),  # of the last sample [ns]
+        ('quiet', 'i8'),  # last time at which it was slow enough for a rest [ns]
+        ('moving', 'i8'),  # last time at which it was too fast for a rest, or `LONG_AGO` [ns]
+        ('begun', 'i8'),  # time at which it reached the speed of a start, or `LONG_AGO` [ns]
+        ('armed', '?'),  # whether the plate is at rest, so that a jump starts a throw
+    ],
+    align=True,
+)
+
 
 class PlateMonitor:
     """
@@ -55,73 +70,43 @@ class PlateMonitor:
         self.buffer = SampleBuffer(config, counts, None if onset is None else onset.samples)
         self._crossing_time = crossing_time
         self._rest = math.nan if onset is None else onset.rest.plate  # height of the plate [m]
-        self._height = self._later = self._rest if onset else 0.0  # smoothed once and twice [m]
-        self._speed = 0.0  # [m/s]
+        height = 0.0 if onset is None else self._rest
         # height [m] and speed [m/s], on a slow plate those of the plate
-        self._projectile = self._height, 0.0
-        self._stamp_ns = LONG_AGO  # of the last sample
-        self._quiet_ns = LONG_AGO  # last time at which it was slow enough for a rest
-        self._disarm()
+        self._projectile = height, 0.0
+        self._memory = np.array([(height, height, 0.0, *[LONG_AGO] * 4, False)], _MEMORY)
+        self._present = self._memory[0]
 
-    def _disarm(self) -> None:
-        """Wait for another rest."""
-        self.is_armed = False  # whether the plate is at rest, so that a jump starts a throw
-        self._moving_ns: int | None = None  # last time at which it was too fast for a rest
-        self._begun_ns: int | None = None  # time at which it reached the speed of a start
+    @property
+    def is_armed(self) -> bool:
+        """Whether the plate is at rest, so that a jump starts a throw."""
+        return bool(self._present['armed'])
 
     def rearm(self, config: MeasurementConfig, crossing_time: float) -> None:
         """Wait for another rest before a throw, and use these parameters from now on."""
         if config != self.buffer.config:
             self.buffer = SampleBuffer(config, self.buffer.counts)
         self._crossing_time = crossing_time
-        self._disarm()
+        _disarm(self._memory)
 
     def advance(self, now_ns: int) -> Onset | None:
         """Observe the samples that are complete now; return the onset of a throw."""
-        new, is_tried = self.buffer.complete(now_ns), False  # with all complete samples
-        for stamp_ns, height in zip(new.stamps.tolist(), new.plate.tolist(), strict=True):
-            self._observe(stamp_ns, height)
-            if self._begun_ns is not None and not is_tried:
-                onset, is_tried = _find_onset(self.buffer, self._begun_ns), True
-                if onset is not None:
-                    self._disarm()
-                    return None if self.rate_fault() else onset
-        if new:
-            if math.isnan(self._rest):
-                self._rest, self._projectile = self._height, (self._height, 0.0)
-            self._projectile = self._projectile[0], 0.0
-            if abs(self._speed) < self.buffer.config.start_speed:
-                self._projectile = self._height, self._speed
+        new = self.buffer.complete(now_ns)
+        if not new:
+            return None
+        config = self.buffer.config
+        begun_ns = _observe(
+            self._memory, new.stamps, new.heights, config.smoothing_window_ns,
+            longest_rise(config), config.position_noise, config.start_speed, config.direction,
+        )
+        if begun_ns != LONG_AGO and (onset := _find_onset(self.buffer, begun_ns)) is not None:
+            _disarm(self._memory)
+            return None if self.rate_fault() else onset
+        height, speed = float(self._present['height']), float(self._present['speed'])
+        if math.isnan(self._rest):
+            self._rest, self._projectile = height, (height, 0.0)
+        is_slow = abs(speed) < config.start_speed
+        self._projectile = (height, speed) if is_slow else (self._projectile[0], 0.0)
         return None
-
-    def _observe(self, stamp_ns: int, height: float) -> None:
-        """Observe the next height of the plate."""
-        config, since_ns = self.buffer.config, stamp_ns - self._stamp_ns
-        self._stamp_ns, window_ns = stamp_ns, config.smoothing_window_ns
-        lag = _LAG * config.smoothing_window
-        ratio = since_ns / SECOND / lag
-        weight = ratio / (1.0 + ratio)
-        self._height += weight * (height - self._height)
-        self._later += weight * (self._height - self._later)
-        self._speed = (self._height - self._later) / lag
-        # the square root is the standard error of lag times speed, over that of the heights
-        error = config.position_noise / lag * math.sqrt(2.0 * ratio / (2.0 + ratio) ** 3)
-        least = OUTLIER_SIGMAS * error
-        is_over = self._begun_ns is not None and stamp_ns >= self._begun_ns + window_ns
-        if since_ns > window_ns or is_over:  # a gap, or it was no start
-            self._disarm()
-        if self._moving_ns is None:
-            self._moving_ns = stamp_ns
-        elif self._begun_ns is not None:
-            return
-        elif self.is_armed and config.direction * self._speed > max(config.start_speed, least):
-            self._begun_ns = stamp_ns
-        elif abs(self._speed) > max(0.5 * config.start_speed, least):
-            self._moving_ns = stamp_ns
-            self.is_armed &= stamp_ns - self._quiet_ns <= longest_rise(config) * SECOND
-        else:
-            self._quiet_ns = stamp_ns
-            self.is_armed |= stamp_ns - self._moving_ns >= REST_WINDOWS * window_ns
 
     def state(self, rest: State) -> State:
         """Return the state of the plate, with the projectile lying on the layer."""
@@ -129,9 +114,9 @@ class PlateMonitor:
             return rest
         height, speed = self._projectile
         return rest._replace(
-            plate_position=rest.plate_position + self._height - self._rest,
+            plate_position=rest.plate_position + float(self._present['height']) - self._rest,
             projectile_position=rest.projectile_position + height - self._rest,
-            plate_velocity=self._speed,
+            plate_velocity=float(self._present['speed']),
             projectile_velocity=speed,
         )
 
@@ -166,45 +151,80 @@ def _find_onset(buffer: SampleBuffer, begun_ns: int) -> Onset | None:
     samples = buffer.between(first_ns, end_ns)
     if min(len(before), len(samples)) < FEWEST:
         return None
+    plate, projectile, scatter = _baseline(before.heights)
     # rounded samples at rest are all the same, so that their scatter underestimates the noise
-    scatter = max(config.position_noise, float(before.plate.std()))
-    projectile = before.projectile[np.isfinite(before.projectile)]
-    rest = RestBaseline(
-        plate=float(before.plate.mean()),
-        projectile=float(projectile.mean()) if projectile.size else math.nan,
-        noise=scatter,
-        error=scatter / math.sqrt(len(before)),
+    noise = max(config.position_noise, scatter)
+    rest = RestBaseline(plate, projectile, noise, noise / math.sqrt(len(before)))
+    start, is_start = _fit_start(
+        config.start_table, samples.seconds_since(begun_ns), samples.plate - plate, noise,
+        config.stamp_error, config.smoothing_window, -config.rise_time, config.start_speed,
+        config.direction, 2.0 * AMPLITUDE_ERROR * config.plate.amplitude,
     )
-    start, size = _fit_start(
-        config.start_table, samples.seconds_since(begun_ns), samples.plate - rest.plate,
-        rest.noise, config.stamp_error, config.smoothing_window, -config.rise_time,
-    )
+    if not is_start:
+        return None
     onset_ns = begun_ns + round(start * SECOND)
-    moved = buffer.between(onset_ns + 1, end_ns)
-    if len(moved) < FEWEST - 1:
-        return None
-    times, heights, speeds = config.start_table
-    since = moved.seconds_since(onset_ns)
-    speed = size * config.direction * np.interp(since, times, speeds)
-    if speed.max() < config.start_speed:
-        return None
-    differences = moved.plate - rest.plate - size * np.interp(since, times, heights)
-    noise = np.hypot(rest.noise, config.stamp_error * speed)
-    tolerance = 2.0 * AMPLITUDE_ERROR * config.plate.amplitude
-    misfit = np.abs(differences) / np.maximum(tolerance, OUTLIER_SIGMAS * noise)
-    if np.sort(misfit)[len(moved) // 2] > 1.0:
-        return None
     return Onset(onset_ns=onset_ns, rest=rest, samples=buffer.between(onset_ns - window_ns))
+
+
+@kernel
+def _disarm(memory: NDArray[np.void]) -> None:
+    """Wait for another rest."""
+    s = memory[0]
+    s.armed, s.moving, s.begun = False, LONG_AGO, LONG_AGO
+
+
+@kernel
+def _observe(
+    memory: NDArray[np.void], stamps: NDArray[np.int64], heights: Floats, window_ns: int,
+    rise: float, noise: float, start_speed: float, direction: float,
+) -> int:
+    """Observe samples; return when the first possible throw began, `LONG_AGO` without one [ns]."""
+    s, lag, first = memory[0], _LAG * (window_ns / SECOND), LONG_AGO
+    for n in range(stamps.size):
+        since_ns = stamps[n] - s.stamp
+        ratio = since_ns / SECOND / lag
+        weight = ratio / (1.0 + ratio)
+        s.stamp = stamps[n]
+        s.height += weight * (heights[n, 0] - s.height)
+        s.later += weight * (s.height - s.later)
+        s.speed = (s.height - s.later) / lag
+        # the square root is the standard error of lag times speed, over that of the heights
+        error = noise / lag * math.sqrt(2.0 * ratio / (2.0 + ratio) ** 3)
+        least = OUTLIER_SIGMAS * error
+        is_over = s.begun != LONG_AGO and s.stamp >= s.begun + window_ns
+        if since_ns > window_ns or is_over:  # a gap, or it was no start
+            _disarm(memory)
+        if s.moving == LONG_AGO:
+            s.moving = s.stamp
+        elif s.begun == LONG_AGO:
+            if s.armed and direction * s.speed > max(start_speed, least):
+                s.begun = s.stamp
+            elif abs(s.speed) > max(0.5 * start_speed, least):
+                s.moving = s.stamp
+                s.armed = s.armed and s.stamp - s.quiet <= rise * SECOND
+            else:
+                s.quiet = s.stamp
+                s.armed = s.armed or s.stamp - s.moving >= REST_WINDOWS * window_ns
+        if first == LONG_AGO:
+            first = s.begun
+    return first
+
+
+@kernel
+def _baseline(heights: Floats) -> tuple[float, float, float]:
+    """Return the mean heights of plate and projectile, and the scatter of the plate."""
+    plate, projectile = heights[:, 0], heights[:, 1]
+    return plate.mean(), float(np.nanmean(projectile)), plate.std()
 
 
 @kernel
 def _fit_start(
     table: Floats, since: Floats, heights: Floats, noise: float, stamp_error: float,
-    window: float, start: float,
-) -> tuple[float, float]:
-    """Fit the start, near a first value, and the relative amplitude, by Gauss-Newton steps."""
+    window: float, start: float, start_speed: float, direction: float, tolerance: float,
+) -> tuple[float, bool]:
+    """Fit start, near a first value, and relative amplitude; return whether it is a start."""
     size, most = 1.0, 0.25 * window
-    for _ in range(_START_STEPS):
+    for _ in range(_START_STEPS):  # by Gauss and Newton
         a, b, c = AMPLITUDE_ERROR**-2, 0.0, window**-2  # the normal equations, with a prior
         p, q = a * (1.0 - size), 0.0
         for n in range(since.size):
@@ -219,9 +239,21 @@ def _fit_start(
             q += weight * slope * misfit
         size += (c * p - b * q) / (a * c - b * b)
         start += min(max((a * q - b * p) / (a * c - b * b), -most), most)
-    return start, size
+    moved, fitting, fastest = 0, 0, 0.0
+    for n in range(since.size):
+        if since[n] > start:
+            speed = size * direction * np.interp(since[n] - start, table[0], table[2])
+            misfit = heights[n] - size * np.interp(since[n] - start, table[0], table[1])
+            error = math.hypot(noise, stamp_error * speed)
+            moved, fastest = moved + 1, max(fastest, speed)
+            fitting += abs(misfit) <= max(tolerance, OUTLIER_SIGMAS * error)
+    return start, moved >= FEWEST - 1 and fastest >= start_speed and 2 * fitting > moved
 
 
 def warm_up() -> None:
-    """Compile the kernel, or load it from the cache on disk."""
-    _fit_start(np.ones((3, 1)), np.zeros(1), np.zeros(1), 1.0, 0.0, 1.0, 0.0)
+    """Compile the kernels, or load them from the cache on disk."""
+    memory, rows, none = np.zeros(1, _MEMORY), np.zeros((1, 2)), np.zeros(0)
+    _disarm(memory)
+    _observe(memory, np.zeros(1, np.int64), rows, 1, 1.0, 1.0, 1.0, 1.0)
+    _baseline(rows)
+    _fit_start(np.ones((3, 1)), none, none, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0)

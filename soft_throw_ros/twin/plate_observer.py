@@ -104,7 +104,7 @@ class ReleaseResponse:
         strips = 0.5 * np.diff(self.times, append=self.times[-1])
         # variances by later accelerations, over their density
         self.later = _integrals(strips, self.changes**2)
-        self.total = _integrals(strips, self.changes)[:, 0]
+        self.total = _integrals(strips, self.changes)
 
 
 def pulse_of(motion: PlateMotion, since: Floats) -> Floats:
@@ -159,11 +159,34 @@ def _predict(s: Record, time: float, axis: Floats, changes: Floats) -> None:
 
 
 @kernel
+def _begin(
+    memory: NDArray[np.void], omega: float, zeta: float, amplitude: float, unmodelled: float,
+    deviations: tuple[float, float, float], changes: Floats, total: Floats,
+    steps: NDArray[np.void],
+) -> None:
+    """Write the state at the start, and a step without a sample."""
+    s = memory[0]
+    s.omega, s.zeta, s.unmodelled, s.state[2] = omega, zeta, unmodelled, amplitude
+    s.ratio, s.settled = _FIRST_RATIO, -1.0
+    for n in range(3):
+        # by height, velocity and amplitude at the start: (D1) has the difference of two of them
+        by_amplitude = s.omega**2 * total[n, 0]
+        by_state = -by_amplitude, changes[n, 0], by_amplitude
+        for i in range(3):
+            variance = deviations[i] ** 2
+            s.covariance[i, i] = variance
+            s.covariance[i, 3 + n] = variance * by_state[i]
+            s.release[n] += variance * by_state[i] ** 2
+    steps[0].state[:], steps[0].covariance[:] = s.state, s.covariance[:, :3]
+    s.steps = 1
+
+
+@kernel
 def _filter(
     memory: NDArray[np.void], times: Floats, heights: Floats, errors: Floats, stamp_error: float,
     axis: Floats, changes: Floats, steps: NDArray[np.void],
 ) -> None:
-    """Go on to each time, and take the measured height there, unless it is NaN."""
+    """Go on to each time, and take the measured height there."""
     s = memory[0]
     for n in range(times.size):
         _predict(s, times[n], axis, changes)
@@ -172,13 +195,9 @@ def _filter(
         variance = p[0, 0] + errors[n] ** 2 + (s.state[1] * stamp_error) ** 2
         most = OUTLIER_SIGMAS * math.sqrt(variance)
         error = min(max(heights[n] - s.state[0], -most), most)
-        step.time, step.pull = times[n], 0.0
-        step.state[:], step.covariance[:], step.gain[:] = s.state, p[:3, :3], 0.0
-        if np.isnan(heights[n]):
-            continue
-        step.pull = error / variance
         gain = p[0] / variance
-        step.gain[:] = gain[:3]
+        step.time, step.pull = times[n], error / variance
+        step.state[:], step.covariance[:], step.gain[:] = s.state, p[:, :3], gain[:3]
         for i in range(3):
             s.state[i] += gain[i] * error
             s.release[i] -= gain[3 + i] ** 2 * variance
@@ -189,24 +208,25 @@ def _filter(
 
 @kernel
 def _follow(
-    memory: NDArray[np.void], steps: NDArray[np.void], spacing: float, age: float, ahead: Floats
+    memory: NDArray[np.void], steps: NDArray[np.void], window: float, until: float
 ) -> tuple[Floats, Floats, int]:
     """Return what `PlateObserver.motion` does; remove the steps of settled states."""
     s, count, settled, last = memory[0], 0, 0, memory[0].settled
-    times, states = np.empty(s.steps + ahead.size), np.empty((s.steps + ahead.size, 3))
+    ahead = max(math.ceil((until - s.time) / (_SPACING * window)), 0)
+    times, states = np.empty(s.steps + ahead), np.empty((s.steps + ahead, 3))
     smoothed = _smooth(s, steps)
     for n in range(s.steps):
         time = steps[n].time
-        if time >= last + spacing or n == s.steps - 1:
+        if time >= last + 0.99 * _SPACING * window or n == s.steps - 1:
             last = times[count] = time
             states[count] = smoothed[n]
             count += 1
-            if time <= s.time - age:
+            if time <= s.time - _SETTLED * window:
                 settled, s.settled = count, time
     f = np.zeros((3, 3))
-    for time in ahead:
-        _transition(s, time - s.time, f)
-        times[count] = time
+    for n in range(1, ahead + 1):
+        times[count] = s.time + (until - s.time) / ahead * n
+        _transition(s, times[count] - s.time, f)
         for i in range(3):
             states[count, i] = (
                 f[i, 0] * s.state[0] + f[i, 1] * s.state[1] + f[i, 2] * s.state[2]
@@ -246,10 +266,23 @@ def _smooth(s: Record, steps: NDArray[np.void]) -> Floats:
     return states
 
 
+@kernel
+def _errors(
+    memory: NDArray[np.void], axis: Floats, later: Floats
+) -> tuple[float, float, float]:
+    """Return what `PlateObserver.errors` does."""
+    s, errors = memory[0], np.empty(3)
+    ratio = max(1.0, s.ratio)  # larger errors if more than the noise acts
+    for n in range(3):
+        unknown = ratio**2 * s.unmodelled * np.interp(s.time, axis, later[n])
+        errors[n] = math.sqrt(ratio * (s.release[n] + unknown))
+    return errors[0], errors[1], errors[2]
+
+
 def _integrals(strips: Floats, rows: Floats) -> Floats:
     """Return the integrals of rows from each time to the last, with half of the spacings."""
     strips = strips * (rows + np.roll(rows, -1, axis=1))
-    return np.flip(np.flip(strips, axis=1).cumsum(axis=1), axis=1)
+    return np.ascontiguousarray(np.flip(np.flip(strips, axis=1).cumsum(axis=1), axis=1))
 
 
 class PlateObserver:
@@ -262,36 +295,23 @@ class PlateObserver:
     def __init__(
         self, config: MeasurementConfig, onset: Onset, response: ReleaseResponse
     ) -> None:
-        plate = config.plate
+        plate, omega = config.plate, config.plate.angular_frequency
         self._config, self._onset, self._response = config, onset, response
         self.next_ns = onset.onset_ns + 1  # time from which samples are not used yet [ns]
-        omega, swing = plate.angular_frequency, plate.amplitude * plate.angular_frequency
         is_engine = isinstance(config.motion, Underdamped)
         self._command = None if is_engine else config.motion
+        engine = (omega, plate.damping_ratio, plate.amplitude) if is_engine else (0.0, 0.0, 0.0)
         unmodelled = UNMODELLED if is_engine else _COMMANDED * UNMODELLED
         stiffness, damping = config.frequency_error / plate.frequency, config.damping_error
         relative = math.hypot(unmodelled, 2.0 * stiffness, 2.0 * damping)
-        self._memory = memory = np.zeros(1, _MEMORY)
-        if is_engine:
-            memory['omega'], memory['zeta'] = omega, plate.damping_ratio
-            memory['state'][0, 2] = plate.amplitude
-        memory['unmodelled'] = (relative * plate.peak_velocity) ** 2 * omega
-        memory['ratio'] = _FIRST_RATIO
-        memory['settled'] = -1.0
+        swing = plate.amplitude * omega
         deviations = onset.rest.error, unmodelled * swing, AMPLITUDE_ERROR * plate.amplitude
-        variances = np.square(deviations)
-        # by height, velocity and amplitude at the start: (D1) has the difference of two of them
-        by_amplitude = memory['omega'] ** 2 * response.total
-        by_state = np.array([-by_amplitude, response.changes[:, 0], by_amplitude])
-        np.fill_diagonal(memory['covariance'][0], variances)
-        memory['covariance'][0, :, 3:] = variances[:, None] * by_state
-        memory['release'] = variances @ by_state**2
-        self._present = memory[0]
+        self._memory = np.zeros(1, _MEMORY)
+        self._present = self._memory[0]
         self._steps = np.zeros(128, STEP)  # of the filter, which grow
-        self._spacing = 0.99 * _SPACING * config.smoothing_window  # least, by samples [s]
-        none = np.full(1, np.nan)  # no height at the start
-        _filter(
-            memory, np.zeros(1), none, none, 0.0, response.times, response.changes, self._steps
+        _begin(
+            self._memory, *engine, (relative * plate.peak_velocity) ** 2 * omega, deviations,
+            response.changes, response.total, self._steps,
         )
 
     @property
@@ -327,12 +347,8 @@ class PlateObserver:
         They begin after those that earlier calls settled. The third result is the number of those
         that are settled now, and do not change any more.
         """
-        window, newest = self._config.smoothing_window, self.newest
-        count = max(math.ceil((until - newest) / (_SPACING * window)), 0)
-        ahead = newest + (until - newest) / max(count, 1) * np.arange(1, count + 1)
-        times, states, settled = _follow(
-            self._memory, self._steps, self._spacing, _SETTLED * window, ahead
-        )
+        window = self._config.smoothing_window
+        times, states, settled = _follow(self._memory, self._steps, window, until)
         if self._command is not None:
             states += self._command.states_at(times)
         if times.size and times[0] == 0.0:
@@ -342,17 +358,15 @@ class PlateObserver:
 
     def errors(self) -> tuple[float, float, float]:
         """Return the standard errors of speed and time of the release, and of the peak speed."""
-        present, response = self._present, self._response
-        ratio = max(1.0, float(present['ratio']))  # larger errors if more than the noise acts
-        later = [np.interp(self.newest, response.times, row) for row in response.later]
-        density = float(present['unmodelled']) * ratio**2
-        variances = ratio * (present['release'] + density * np.array(later))
-        speed_error, time_error, peak_error = np.sqrt(variances).tolist()
-        return speed_error, time_error, peak_error
+        errors: tuple[float, float, float]
+        errors = _errors(self._memory, self._response.times, self._response.later)
+        return errors
 
 
 def warm_up() -> None:
     """Compile or load the kernels."""
-    memory, steps, one = np.zeros(1, _MEMORY), np.zeros(1, STEP), np.ones(1)
-    _filter(memory, one, one, one, 0.0, one, np.ones((3, 1)), steps)
-    _follow(memory, steps, 0.0, 0.0, np.empty(0))
+    memory, steps, one, rows = np.zeros(1, _MEMORY), np.zeros(2, STEP), np.ones(1), np.ones((3, 1))
+    _begin(memory, 1.0, 0.0, 1.0, 1.0, (1.0, 1.0, 1.0), rows, rows, steps)
+    _filter(memory, one, one, one, 0.0, one, rows, steps)
+    _follow(memory, steps, 1.0, 0.0)
+    _errors(memory, one, rows)

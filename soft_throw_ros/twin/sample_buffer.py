@@ -66,6 +66,10 @@ _BODY = np.dtype(
     align=True,
 )
 
+_UNKNOWN = np.zeros(2, _BODY)  # plate and projectile, whose first heights are accepted
+_UNKNOWN['state'][:, 0], _UNKNOWN['median'] = np.inf, _MEDIAN
+_UNKNOWN['in_a_row'] = MAX_OUTLIERS_IN_A_ROW
+
 
 @dataclass(slots=True)
 class Samples:
@@ -155,7 +159,8 @@ class SampleBuffer:
         """Return the rate of the samples, 0 if there are too few [Hz]."""
         if len(self.samples) < FEWEST:
             return 0.0
-        intervals = np.sort(np.diff(self.samples.stamps))
+        intervals = self.samples.stamps[1:] - self.samples.stamps[:-1]
+        intervals.sort()
         return SECOND / float(intervals[intervals.size // 2])
 
     def add(self, samples: Samples, now_ns: int) -> Samples:
@@ -204,7 +209,7 @@ class SampleBuffer:
         if not new:
             return new
         is_outlier = self._outlier_filter.find(new.stamps, new.heights)
-        if is_outlier.any():
+        if np.count_nonzero(is_outlier):
             outliers = int(is_outlier.any(axis=1).sum())
             self.outliers += outliers
             self.counts.outliers += outliers
@@ -233,10 +238,7 @@ class OutlierFilter:
     def __init__(self, plate: Underdamped, noise: float, stamp_error: float) -> None:
         acceleration = 0.5 * plate.amplitude * plate.angular_frequency**2
         self._parameters = acceleration, plate.peak_velocity, noise, stamp_error
-        self._bodies = np.zeros(2, _BODY)
-        self._bodies['in_a_row'] = MAX_OUTLIERS_IN_A_ROW  # so that the first height is accepted
-        self._bodies['state'][:, 0] = np.inf
-        self._bodies['median'] = _MEDIAN
+        self._bodies = _UNKNOWN.copy()
 
     def find(self, stamps: NDArray[np.int64], heights: Floats) -> NDArray[np.bool_]:
         """Return which of the following heights are outliers, shape (n, 2); NaN is none."""

@@ -425,10 +425,9 @@ class Session:
 
     def _commit(self) -> None:
         """Put pending settings in effect; the time since the last start stays the same."""
-        if self.pending:
-            passed = (self.step - self._period_start) * self.prepared.tick
-            self.prepared, self.config = self.wanted, self.wanted.config
-            self._period_start = self.step - round(passed / self.prepared.tick)
+        passed = (self.step - self._period_start) * self.prepared.tick
+        self.prepared, self.config = self.wanted, self.wanted.config
+        self._period_start = self.step - round(passed / self.prepared.tick)
 
     def _start_monitoring(self, onset: Onset | None = None) -> None:
         """Wait for the next throw of the plate, or watch one from its onset on, if measured."""
