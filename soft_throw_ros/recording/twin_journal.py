@@ -29,6 +29,8 @@ DECODING_ERRORS = (  # of damaged bytes, or another program's messages on a topi
     zlib.error,
 )
 
+_NOT_READ = b'{"kind":"checksum"', b'{"kind":"samples"'  # most lines of a journal
+
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowStart:
@@ -65,6 +67,11 @@ class TwinJournal:
         """Time of the rig over time of the stamps [-]."""
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
+
+    @staticmethod
+    def reads(message: Message) -> bool:
+        """Return False for a line that `read` would ignore, such as most lines."""
+        return not message.data.startswith(_NOT_READ, 8)  # after the length of the text
 
     def read(self, message: Message) -> None:
         """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
