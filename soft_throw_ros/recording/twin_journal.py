@@ -29,8 +29,6 @@ DECODING_ERRORS = (  # of damaged bytes, or another program's messages on a topi
     zlib.error,
 )
 
-_NOT_READ = b'{"kind":"checksum"', b'{"kind":"samples"'  # most lines of a journal
-
 
 @dataclass(frozen=True, kw_only=True)
 class ThrowStart:
@@ -71,7 +69,8 @@ class TwinJournal:
     @staticmethod
     def reads(message: Message) -> bool:
         """Return False for a line that `read` would ignore, such as most lines."""
-        return not message.data.startswith(_NOT_READ, 8)  # after the length of the text
+        head = 8  # of the text: encapsulation and length [bytes]
+        return not message.data.startswith((b'{"kind":"checksum"', b'{"kind":"samples"'), head)
 
     def read(self, message: Message) -> None:
         """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
