@@ -111,7 +111,7 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     """Return the throws of each twin in journals; of a repeated one, that which is complete."""
     throws: dict[str, dict[int, ThrowStart]] = defaultdict(dict)  # by twin and stamp
     journals: dict[str, TwinJournal] = defaultdict(TwinJournal)
-    for message in messages:
+    for message in filter(TwinJournal.reads, messages):
         node, _ = find_topic(message.channel.topic, message.channel.type) or ('', None)
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
             journals[node].read(message)
