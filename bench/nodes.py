@@ -12,15 +12,17 @@ from collections.abc import Callable
 import contextlib
 import os
 from pathlib import Path
+import signal
 import sys
 import tempfile
 import time
 from typing import Any
 
 from bench import processes
-from bench.processes import Process, RATE, running, SECOND, SOFT_THROW, Subscriber, TIMEOUT
+from bench.processes import Process, RATE, running, SOFT_THROW, Subscriber, TIMEOUT
 from bench.tables import Result
 import numpy as np
+from soft_throw_ros.storage.message import SECOND
 
 ROUNDS = 3  # number of turns of twin and timer
 SECONDS = 7.0  # duration of a measurement [s]
@@ -151,6 +153,7 @@ def _record_plainly(folder: str) -> None:
     from soft_throw_ros.configuration.interface import TWIN_TOPICS
     from soft_throw_ros.nodes.topics import load_type
 
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # rclpy ends the spinning between two callbacks
     rclpy.init(args=[])
     node = rclpy.create_node('plain')
     Path(folder).mkdir()
@@ -170,8 +173,7 @@ def _record_plainly(folder: str) -> None:
             node.create_subscription(kind, topic.name, on_message, topic.depth, raw=True)
 
         for topic in TWIN_TOPICS:
-            if not topic.is_input:
-                record(topic.at('/twin'))
+            record(topic.at('/twin'))
         try:
             rclpy.spin(node)
         finally:

@@ -10,7 +10,6 @@ import io
 import os
 from pathlib import Path
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -18,10 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from soft_throw_ros.storage.cdr import stamp_of
 
 STATES = '/twin/joint_states'  # topic of the twin's states
 RATE = 1000  # default rate of the twin's ticks [Hz]
-SECOND = 1_000_000_000  # one second [ns]
 TIMEOUT = 300.0  # longest wait for the first message, since kernels may have to be compiled [s]
 EXIT_TIMEOUT = 120.0  # longest wait for a process after SIGINT: a bag may take long [s]
 
@@ -38,12 +37,6 @@ def usage(pid: int) -> tuple[float, int, int]:
     processor = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
     memory = int(fields[21]) * os.sysconf('SC_PAGE_SIZE')
     return processor, memory, sum(1 for _ in (folder / 'fd').iterdir())
-
-
-def stamp_of(data: bytes) -> int:
-    """Read the stamp of a serialized message that starts with a header [ns]."""
-    seconds, nanoseconds = struct.unpack_from('<iI', data, 4)
-    return int(seconds * SECOND + nanoseconds)
 
 
 def start(command: Sequence[str], *, output: Any = subprocess.DEVNULL) -> Process:

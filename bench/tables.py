@@ -68,8 +68,7 @@ def measure(title: str, error_of: str, cases: list[Case]) -> Result:
         [case.name, case.error and case.error(result), 1e6 * used, used / times[0], case.goal]
         for case, result, used in zip(cases, results, times, strict=True)
     ]
-    ratios = {case.name: used / times[0] for case, used in zip(cases, times, strict=True)}
-    del ratios[cases[0].name]
+    ratios = {case.name: used / times[0] for case, used in zip(cases[1:], times[1:], strict=True)}
     return Result(heads, rows, ratios)
 
 

@@ -14,10 +14,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from soft_throw_ros.configuration.interface import Topic, TWIN_TOPICS
 from soft_throw_ros.nodes.process import RunnableNode
-from soft_throw_ros.nodes.raw_subscriptions import RawSubscription
-from soft_throw_ros.nodes.topics import qos_profile
+from soft_throw_ros.nodes.raw_subscriptions import subscribe
 from soft_throw_ros.storage.cdr import JointStateReader, JointStates, MessageError
-from soft_throw_ros.storage.message import Channel, SECOND
+from soft_throw_ros.storage.message import SECOND
 from soft_throw_ros.twin.sample_buffer import Samples
 from soft_throw_ros.twin.session import Session
 
@@ -40,9 +39,7 @@ class HeightReader:
     def __init__(
         self, node: RunnableNode, topic: Topic, joints: tuple[str, str], refused: Counter[str]
     ) -> None:
-        name = node.resolve_topic_name(topic.name)
-        channel = Channel(topic=name, type=topic.type, schema='')
-        self.subscription = RawSubscription(node, channel, qos_profile(topic))
+        self.subscription = subscribe(node, topic)
         node.add_cleanup(self.subscription.close)
         self._joints = joints
         self._refused = refused

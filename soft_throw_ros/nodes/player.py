@@ -32,8 +32,7 @@ class Player(RunnableNode):
     """
     A node that plays topics of a bag, or all; `clock` is the rate of `/clock`, 0 for none [Hz].
 
-    The exit code is 0 after playing all, and 1 if some messages could not be played. BagError is
-    raised if the beginning of the bag cannot be read.
+    The exit code is 0 after playing all, and 1 if some messages could not be played.
     """
 
     def __init__(

@@ -19,9 +19,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, qos_check_compatible, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from soft_throw_ros.configuration.interface import find_topic
+from soft_throw_ros.configuration.interface import find_topic, Topic
 from soft_throw_ros.nodes.conversions import profile_to_dict
-from soft_throw_ros.nodes.topics import load_type, make_profile
+from soft_throw_ros.nodes.topics import load_type, make_profile, qos_profile
 from soft_throw_ros.recording.loss_counter import LossCounter
 from soft_throw_ros.recording.schemas import find_schema, installed_prefixes, SchemaError
 from soft_throw_ros.storage.bag_folder import dump_yaml
@@ -119,6 +119,13 @@ class RawSubscription:
         self.poll_losses()
         self._loss_event.destroy_when_not_in_use()  # it would keep its subscription
         self._node.destroy_subscription(self._subscription)
+
+
+def subscribe(node: Node, topic: Topic) -> RawSubscription:
+    """Subscribe to a topic of this package; the channel has no schema, since none is recorded."""
+    name = node.resolve_topic_name(topic.name)
+    channel = Channel(topic=name, type=topic.type, schema='')
+    return RawSubscription(node, channel, qos_profile(topic))
 
 
 class RawSubscriptions:

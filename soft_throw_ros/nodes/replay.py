@@ -16,7 +16,7 @@ from typing import Any
 from soft_throw_ros.commands.options import number_type, positive
 from soft_throw_ros.commands.output import CommandParser, print_lines, print_note
 from soft_throw_ros.recording.check import check_bag, CheckError
-from soft_throw_ros.storage.bag_reader import BagReader, UnfinishedError
+from soft_throw_ros.storage.bag_reader import BagReader
 from soft_throw_ros.storage.message import BagError
 
 _CLOCK_RATE = 40.0  # default rate of `/clock` [Hz]
@@ -29,8 +29,8 @@ def main(args: list[str] | None = None) -> int:
     """
     Play a bag until its end, or check it.
 
-    The exit code is 1 if the bag is damaged, cannot be played, or differs from its repetition; 2
-    if there is nothing to play or to check; 130 after Ctrl-C during a check.
+    The exit code is 1 if some messages cannot be played, or differ from their repetition; 2 if the
+    bag cannot be read, or has nothing to play or to check; 130 after Ctrl-C during a check.
     """
     arguments = sys.argv[1:] if args is None else args
     end = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
@@ -41,7 +41,7 @@ def main(args: list[str] | None = None) -> int:
             return _check(reader) if is_check else _play(reader, options, of_ros)
     except BagError as error:
         print_note('replay', str(error))
-        return 1 if isinstance(error, UnfinishedError) else 2
+        return 2
     except KeyboardInterrupt:
         return 130
 

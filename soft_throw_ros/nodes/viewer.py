@@ -19,7 +19,7 @@ from soft_throw_ros.nodes.raw_subscriptions import is_wanted, RawSubscriptions
 from soft_throw_ros.nodes.topics import full_name, Publishers
 from soft_throw_ros.recording import rerun_viewer
 
-_DRAIN_PERIOD = 0.2  # time between two updates; shorter ones cost more of a core [s]
+_DRAIN_PERIOD = 0.25  # time between two updates; shorter ones cost more of a core [s]
 _FLUSH_TIME = 0.7  # longest wait for viewers and disk at the end [s]
 
 

@@ -32,6 +32,7 @@ from soft_throw_ros.storage.message import Channel, Message, SECOND
 from soft_throw_ros.twin.results import Floats, Phase
 
 _MILLI = 1e3
+_PHASES = dict(enumerate(phase.value for phase in Phase))
 
 _LOG = Topic('/rosout', 'rcl_interfaces/msg/Log', 'What nodes say')
 
@@ -92,7 +93,7 @@ class Scene:
     def show(self, messages: Iterable[Message]) -> None:
         """Draw messages topic by topic, in an order that respects their dependencies."""
         waiting: dict[str, dict[Topic, list[Message]]] = defaultdict(lambda: defaultdict(list))
-        for channel, run in groupby(messages, itemgetter(0)):
+        for channel, run in groupby(filter(TwinJournal.reads, messages), itemgetter(0)):
             node, topic = _drawn_topic(channel.topic, channel.type)
             if topic is None:
                 continue
@@ -238,11 +239,10 @@ class _TwinView:
 
     def draw_phases(self, *messages: Message) -> None:
         """Draw phases at the times of their starts."""
-        joints, phases = self._read_joints(messages), [phase.value for phase in Phase]
-        if joints.names == TWIN_TOPICS.phase_change.joints and joints.position.shape[1] == 1:
-            for stamp, number in zip(joints.stamps.tolist(), joints.position[:, 0], strict=True):
-                if number in range(len(phases)):
-                    self.canvas.draw('phase', stamp, rr.StateChange(state=phases[int(number)]))
+        joints = self._read_joints(messages)
+        if joints.names == TWIN_TOPICS.phase_change.joints:
+            states = [_PHASES[number] for (number,) in joints.position.tolist()]
+            self.canvas.columns('phase', joints.stamps, rr.StateChange.columns(state=states))
 
     def _draw_lines(self, name: str, stamps: Stamps, values: Floats) -> None:
         """Draw lines of a plot, of values in SI units."""

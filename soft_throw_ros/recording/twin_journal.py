@@ -66,6 +66,12 @@ class TwinJournal:
         is_measured = self.settings['engine.motion'] == 'measured'
         return 1.0 if is_measured else float(self.settings['time_scale'])
 
+    @staticmethod
+    def reads(message: Message) -> bool:
+        """Return False for a line that `read` would ignore, such as most lines."""
+        head = 8  # of the text: encapsulation and length [bytes]
+        return not message.data.startswith((b'{"kind":"checksum"', b'{"kind":"samples"'), head)
+
     def read(self, message: Message) -> None:
         """Apply a line; raise one of `DECODING_ERRORS` if it is damaged."""
         entry = journal.decode(str(decode(message).data))
@@ -105,7 +111,7 @@ def find_throws(messages: Iterable[Message]) -> dict[str, list[ThrowStart]]:
     """Return the throws of each twin in journals; of a repeated one, that which is complete."""
     throws: dict[str, dict[int, ThrowStart]] = defaultdict(dict)  # by twin and stamp
     journals: dict[str, TwinJournal] = defaultdict(TwinJournal)
-    for message in messages:
+    for message in filter(TwinJournal.reads, messages):
         node, _ = find_topic(message.channel.topic, message.channel.type) or ('', None)
         with contextlib.suppress(*DECODING_ERRORS):  # the view counts the message as unreadable
             journals[node].read(message)

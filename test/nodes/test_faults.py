@@ -27,6 +27,7 @@ import soft_throw_ros
 from soft_throw_ros.commands import recover
 from soft_throw_ros.configuration.interface import RIG_TOPICS, Topic, TWIN_TOPICS
 from soft_throw_ros.nodes.topics import Publishers
+from soft_throw_ros.storage.message import SECOND
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -140,7 +141,7 @@ def test_killed_and_stopped_processes_go_on_with_correct_counts(
     statuses = processes.recorded_statuses(system.bags[1])
     *_, (reported, _, timing) = (row for row in statuses if row[1] == '/twin: timing')
     stamps = np.union1d(states.stamps, heard)
-    ticks = np.round(np.diff(stamps[stamps < reported]) * processes.RATE / processes.SECOND)
+    ticks = np.round(np.diff(stamps[stamps < reported]) * processes.RATE / SECOND)
     assert int((ticks - 1).sum()) <= int(timing['ticks_skipped'])
     assert int(timing['ticks_skipped']) > 4000
 
