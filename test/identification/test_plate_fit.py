@@ -56,14 +56,6 @@ def test_plate_fit_needs_no_guess_and_accepts_gaps_and_jitter(frequency, damping
         assert found[name].value == pytest.approx(value, abs=4.5 * found[name].error), name
 
 
-def test_plate_whose_second_mode_exceeds_the_noise_is_fitted():
-    time = np.arange(0.0, 0.1, 2e-4)
-    track = track_of(Underdamped(**TRUTH), time, START, noise=1e-6)
-    mode = 4e-5 * np.sin(2.0 * np.pi * 316.0 * (time - START).clip(0.0))
-    found = fit_plate(replace(track, position=track.position + mode, known_noise=1e-6))
-    assert found['engine.amplitude'].value == pytest.approx(2e-3, rel=0.01)
-
-
 @pytest.mark.parametrize(('true', 'stated'), [(0.0, 1e-5), (5e-5, 5e-5), (1e-4, 1e-4)])
 def test_stated_errors_of_stamps_are_part_of_the_noise(true, stated):
     rng = np.random.default_rng(3)
