@@ -120,6 +120,14 @@ def test_state_and_layer_agree_with_the_exact_history(make, error, gravity):
         assert (abs(model.state - exact) <= error * units).all()
 
 
+def test_contact_on_the_way_up_after_a_landing_is_a_landing():
+    stepper = make_stepper(Rig())
+    stepper.advance_to(0.3)
+    kinds, _, _, velocities = zip(*stepper.events(), strict=True)
+    assert kinds == ('release', 'landing', 'release', 'landing', 'release')
+    assert velocities[3] > 0.0
+
+
 @all_steppers
 def test_rig_at_rest_does_not_move_and_carries_the_weight(make):
     model = make(is_measured=True)

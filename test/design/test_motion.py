@@ -10,7 +10,7 @@ import pytest
 from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.plate import SampledMotion
 from soft_throw_ros.core.rig import Engine, Layer, Projectile, Rig
-from soft_throw_ros.core.throw import simulate
+from soft_throw_ros.core.throw import simulate, throw_many
 from soft_throw_ros.design.motion import design_motion, PlateLimits
 from soft_throw_ros.design.prediction import Uncertainties
 from soft_throw_ros.design.score import Limits
@@ -120,6 +120,15 @@ def test_best_motion_keeps_contact_within_the_uncertainties(engine, layer, mass)
         layer = replace(rig.layer, wave_speed=factor * rig.layer.wave_speed)
         throw = simulate(replace(design.rig, layer=layer))
         assert throw.ejection_speed > 0.93 * design.ejection_speed
+
+
+def test_worst_speed_is_that_of_the_thinnest_or_the_thickest_layer():
+    errors = Uncertainties(
+        wave_speed=0.0, thickness=0.02, mass=0.0, frequency=0.0, damping_ratio=0.0
+    )
+    design = design_motion(unit_rig(0.6), PlateLimits(speed=1.0), uncertainties=errors)
+    speeds = throw_many(design.rig, {'thickness': np.array([0.98, 1.0, 1.02])}).ejection_speed
+    assert design.worst.ejection_speed == pytest.approx(speeds.min(), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -206,6 +206,12 @@ def test_limit_that_is_not_active_does_not_change_the_answer(gravity_ratio):
     assert limited.score == pytest.approx(recommend(rig, uncertainties=NONE).score, rel=1e-6)
 
 
+def test_present_layer_beyond_a_limit_is_what_the_gain_counts_from():
+    best = recommend(Rig(), vary='thickness', limits=Limits(max_strain=0.115))
+    assert best.now_score == predict(Rig()).energy_transfer > best.score
+    assert 'because the present layer exceeds the limits' in best.summary
+
+
 @pytest.mark.slow
 def test_layer_that_may_hold_the_projectile_is_not_preferred():
     rig = heavy_rig(1.404)

@@ -11,6 +11,7 @@ from scipy.optimize import bisect
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.identification.ejection import doubt, GOOD_ENOUGH, Release, releases_of
 from soft_throw_ros.identification.least_squares import Estimate
+from soft_throw_ros.identification.systematics import FLOORS
 
 
 def truth_of(rig):
@@ -29,6 +30,9 @@ def test_first_release_is_right_within_its_errors(fits):
             for item in releases
         ]
         pulls += min(deviations, key=max)
+        for name in ('time', 'speed', 'energy_transfer'):
+            value, error = getattr(releases[0], name)
+            assert error >= found.growth * FLOORS[f'ejection.{name}'].of(value)
         assert releases[0].energy_transfer.error < 0.08 * releases[0].energy_transfer.value
     assert max(pulls) < 2.5
 

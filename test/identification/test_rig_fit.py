@@ -76,7 +76,7 @@ def test_other_motions_of_the_plate_enlarge_all_errors(see, fits, imperfections)
     since = time - 0.0153
     tracks = see(time, thrown.plate(since), thrown.projectile(since), noise=5e-6)
     found, clean = fit_rig([tracks], Rig()), fits['usual', 5e-6][1]
-    assert clean.growth < 1.5
+    assert 1.1 < clean.growth < 1.5  # the noise may hide an oscillation
     assert found.growth > 2.0 * clean.growth
     for name in DEFAULT_FREE:
         assert found.estimate(name).error > 1.5 * clean.estimate(name).error

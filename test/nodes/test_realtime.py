@@ -62,7 +62,8 @@ def test_steps_are_done_at_their_deadlines_or_counted_and_the_session_knows_all_
     assert counts['ticks_skipped'] == 5795
     assert bench.at(6001) == [(106, 6001)]
     bench.rate = 300.0
-    bench.at(6070)
+    _, dues = zip(*bench.at(6070), strict=True)
+    assert [later - due for due, later in itertools.pairwise(dues)] == [pytest.approx(10 / 3)] * 20
     bench.clock.epoch += 1
     bench.at(90)
     for step, due in bench.done:

@@ -79,7 +79,7 @@ def test_bag_is_read_by_all_and_recovered_up_to_its_damage(
     with BagWriter(folder / 'bag', distribution='jazzy', compression=compression) as writer:
         for message in messages:
             if message.sequence in breaks:  # a chunk, or a file, ends
-                writer.split() if message.sequence % 16 == 0 else writer.flush()
+                writer.split() if message.sequence % 3 == 0 else writer.flush()
             writer.write(message)
     rows = sorted(((m.channel.topic, *m[1:]) for m in messages), key=lambda row: row[2])
     assert read_by_others(folder / 'bag') == [(row[0], row[2], row[1]) for row in rows]
@@ -239,6 +239,18 @@ for number in range(15):
     assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
     print(int.from_bytes((first + os.read(counts, 2**16))[-8:], 'little'))
 """
+
+
+def test_flush_with_sync_reaches_the_disk(tmp_path, monkeypatch):
+    synced, path = [], tmp_path / 'bag/bag_0.mcap'
+    monkeypatch.setattr(os, 'fsync', lambda file: synced.append(
+        os.fstat(file if isinstance(file, int) else file.fileno())
+    ))
+    with BagWriter(path.parent, distribution='', sync=True) as writer:
+        writer.write(Message(CHANNELS[0], b'1', 1, 1, 1))
+        writer.flush()
+        now = path.stat()
+        assert (synced[-1].st_ino, synced[-1].st_size) == (now.st_ino, now.st_size)
 
 
 def test_killed_process_loses_only_messages_after_its_last_flush(tmp_path):

@@ -159,6 +159,15 @@ def test_inconsistent_journal_is_a_difference(plain, tmp_path, values) -> None:
     assert result.results['same'] >= 6  # the next throws are checked again
 
 
+def test_result_that_the_repetition_does_not_give_is_a_difference(plain, tmp_path) -> None:
+    *_, last = entries(plain)
+    *_, entry = entries(plain, 'result')
+    data = text(json.dumps({**entry, 'line': last['line'] + 1, 'step': last['step']}))
+    messages = [*plain.messages, plain.of(TWIN_TOPICS.journal)[-1]._replace(data=data)]
+    (difference,) = check(tmp_path, messages).differences
+    assert 'result is not repeated' in difference
+
+
 @pytest.mark.parametrize('lost', [range(700, 710), range(2090, 2200)])
 def test_missing_states_are_counted_and_no_difference(plain, tmp_path, lost) -> None:
     states = {id(plain.of(TWIN_TOPICS.joint_states)[number]) for number in lost}

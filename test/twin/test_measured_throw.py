@@ -219,6 +219,11 @@ def trial(
     rows = zip(stamps.tolist(), *(height.tolist() for height in heights), strict=True)
     run.send(itertools.compress(map(Sample._make, rows), are_received))
     run.receive()
+    for outputs in run.outputs:
+        for result in outputs.results:  # certain is what no later motion of the plate can change
+            if result.stage == 'predicted' and result.accuracy.is_certain:
+                error_ns = result.accuracy.release_time_error * SECOND
+                assert outputs.prediction.stamp_ns >= result.first.release_ns + error_ns - 1.0
     predictions, true = run.results('predicted'), thrown.events[0]
     fine = np.linspace(0.0, 0.012, 12001)
     alpha = (true.velocity / np.gradient(thrown.plate(fine), fine[1]).max()) ** 2

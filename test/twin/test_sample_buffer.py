@@ -53,10 +53,12 @@ def test_order_of_arrival_within_the_latency_changes_nothing(seed, batch, double
     assert math.isnan(ordered.between(samples[45].stamp_ns).projectile[0])
 
 
-def test_late_samples_are_refused_and_change_nothing() -> None:
+@pytest.mark.parametrize('since', [9, 10])  # samples; the tenth one completes the late one's time
+def test_late_samples_are_refused_and_change_nothing(since) -> None:
+    config = replace(MEASUREMENT, latency_ns=since * INTERVAL)
     samples = make_samples(noise=5e-6)
     late = samples.pop(50)
-    without, with_late = (SampleBuffer(MEASUREMENT, SampleCounts()) for _ in range(2))
+    without, with_late = (SampleBuffer(config, SampleCounts()) for _ in range(2))
     completed = run(with_late, samples[:60])
     assert not with_late.add(samples_of([late]), samples[59].stamp_ns)
     assert completed + run(with_late, samples[60:]) == run(without, samples)

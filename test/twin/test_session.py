@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import threading
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,10 +16,11 @@ import pytest
 from soft_throw_ros.configuration import rig_of
 from soft_throw_ros.core.throw import simulate
 from soft_throw_ros.storage.message import SECOND
-from soft_throw_ros.twin.prepared_rig import RETURN_TIME
+from soft_throw_ros.twin import journal
+from soft_throw_ros.twin.prepared_rig import prepare, RETURN_TIME
 from soft_throw_ros.twin.results import Phase
-from soft_throw_ros.twin.session import RequestRejected, TickSchedule
-from twin_runs import Run, stroke
+from soft_throw_ros.twin.session import RequestRejected, Session, TickSchedule
+from twin_runs import complete_settings, Run, stroke
 
 RETURN = round(1000 * RETURN_TIME)
 
@@ -293,6 +295,31 @@ def test_changes_of_rig_measurement_or_rate_wait_beside_one_that_is_effective(
     assert {**changes, 'throw.max_events': 3}.items() <= after['settings'].items()
     first, second = (result.rig for result in run.results('release')[:2])
     assert (first == second) == (rig_of(before['settings']) == rig_of(after['settings']))
+
+
+def test_period_goes_on_when_the_rate_changes() -> None:
+    run = Run(throw__max_events=1)
+    run.go(1001)
+    run.session.change({'rate.state': 500.0})
+    end = run.go_until(Phase.RETURNING).step
+    run.go(1000)
+    first, second, *_ = run.starts()
+    assert 1e-3 * (end - first) + 2e-3 * (second - end) == pytest.approx(1.0, abs=4e-3)
+
+
+@pytest.mark.parametrize('give', [Session.reset, lambda session: session.change({'gravity': 5.0})])
+def test_input_of_another_thread_waits_for_the_end_of_a_step(give) -> None:
+    def on_entry(line: str) -> None:
+        if journal.decode(line)['kind'] == 'throw':  # in the middle of a step
+            thread.start()
+            thread.join(0.1)
+            is_waiting.append(thread.is_alive())
+
+    is_waiting, session = [], Session(prepare(complete_settings()), on_entry=on_entry)
+    thread = threading.Thread(target=give, args=(session,))
+    list(session.advance_to(1100))
+    assert is_waiting == [True]
+    thread.join()
 
 
 def test_change_at_rest_waits_for_the_throw_and_replaces_the_layer_first() -> None:
