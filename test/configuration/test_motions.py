@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 from soft_throw_ros.configuration import motions, ParameterError, rig_of, TWIN
-from soft_throw_ros.core.plate import Underdamped
+from soft_throw_ros.core.plate import SampledMotion, Underdamped
 from soft_throw_ros.core.rig import Engine, Rig
 from soft_throw_ros.core.throw import simulate, throw_many
 from twin_runs import complete_settings
@@ -36,6 +36,10 @@ def test_written_motion_is_read_back_and_an_encoded_one_bit_by_bit(write):
     motion = motions.read(write('\n'.join(lines())))
     again = motions.read(write(motions.to_csv(motion), 'again.csv'))
     np.testing.assert_allclose(again.states, motion.states, rtol=1e-14, atol=1e-18)
+    elsewhere = SampledMotion(motion.times + 7.0, np.add(motion.states, [0.3, 0.0, 0.0]))
+    moved = motions.read(write(motions.to_csv(elsewhere), 'moved.csv'))
+    np.testing.assert_allclose(moved.states, motion.states, atol=1e-15)
+    np.testing.assert_allclose(moved.times, motion.times, atol=1e-14)
     decoded = motions.decode(motions.encode(motion))
     np.testing.assert_array_equal(decoded.states, motion.states)
     for other in (again, decoded):

@@ -56,6 +56,12 @@ def test_small_uncertainty_of_one_value_agrees_with_the_derivative(name, value):
         assert getattr(prediction, result) == pytest.approx((low, high), abs=0.01 * (high - low))
 
 
+def test_damping_within_the_uncertainties_is_not_negative():
+    rig = Rig(engine=Engine(damping_ratio=0.0))
+    low, high = prediction_uncertainty(rig).energy_transfer
+    assert low < predict(rig).energy_transfer < high
+
+
 def test_interval_has_its_nominal_share_of_random_throws():
     rig, uncertainties = Rig(), Uncertainties()
     prediction = prediction_uncertainty(rig, uncertainties)

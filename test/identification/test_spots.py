@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference.pictures import CONTRAST, disc, exposed, picture
 from scipy.ndimage import gaussian_filter
-from soft_throw_ros.identification.spots import follow_spots
+from soft_throw_ros.identification.spots import follow_spots, Spot
 from soft_throw_ros.identification.tracks import TrackError
 
 pytest.importorskip('trackpy', reason='comes with the extra [video]')
@@ -75,6 +75,13 @@ def test_covered_spot_is_missing_and_never_wrong(width, grey, rows):
     row, column = np.transpose(spot.centre)
     assert 5 <= row.size < rows.size
     assert np.hypot(row - rows[spot.picture], column - 30.2).max() < 0.3
+
+
+def test_samples_beside_a_gap_are_left_out():
+    seen = [0, 1, 2, 5, 6, 7]
+    spot = Spot(first=np.ones(6), picture=seen, centre=[np.array([50.0 + n, 25.0]) for n in seen])
+    spot.finish(8, SHAPE, 7)
+    assert (spot.picture, [row for row, _ in spot.centre]) == ([0, 1, 6, 7], [50, 51, 56, 57])
 
 
 def test_pictures_without_spots_are_refused():

@@ -145,6 +145,8 @@ def test_record_is_cut_at_long_gaps(pause):
     parts = split_at_breaks(ThrowTracks(name='bag', plate=track, projectile=track))
     assert [part.name for part in parts] == ['bag, part 1', 'bag, part 2']
     assert [part.plate.time.size for part in parts] == [1400, 1600]
+    gap = first.where(np.abs(first.time - 0.3) > 0.2)  # of many samples, but shorter than a second
+    assert len(split_at_breaks(ThrowTracks(name='bag', plate=gap))) == 1
     stray = track.where(np.arange(track.time.size) <= first.time.size)
     (only,) = split_at_breaks(ThrowTracks(name='bag', plate=stray))
     assert only.plate.time.size == first.time.size

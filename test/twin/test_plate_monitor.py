@@ -66,16 +66,18 @@ def test_start_after_a_gap_needs_another_rest() -> None:
 
 
 def test_start_is_found_as_well_as_the_noise_allows() -> None:
-    errors = []
+    errors, rest_errors = [], []
     for seed in range(100):
         onset, _ = detect(make_samples(400, onset=0.025, noise=5e-6, seed=seed))
         assert onset is not None
         errors.append((onset.onset_ns - BEGIN) / SECOND - 0.025)
+        rest_errors.append((onset.rest.plate - 0.3) / onset.rest.error)
     since = np.arange(0.0, 2.6e-3, 2e-4)
     sensitivity = np.column_stack((PLATE.velocity(since), PLATE.position(since)))
     bound = 5e-6 * math.sqrt(np.linalg.inv(sensitivity.T @ sensitivity)[0, 0])
     assert np.mean(errors) == pytest.approx(0.0, abs=4e-6)
     assert np.std(errors) < 1.5 * bound
+    assert np.std(rest_errors) == pytest.approx(1.0, abs=0.25)
 
 
 def watch(*, rate: float = 5000.0, crossing: float = CROSSING, count: int = 100) -> PlateMonitor:
