@@ -26,6 +26,7 @@ hypothesis.settings.register_profile(
     'repeatable',
     deadline=None,
     derandomize=True,
+    phases=set(hypothesis.Phase) - {hypothesis.Phase.explain},  # takes minutes with a session
     suppress_health_check=[hypothesis.HealthCheck.too_slow],
 )
 hypothesis.settings.load_profile('repeatable')
