@@ -448,6 +448,7 @@ class Session:
                 rig_state.end('next')
             self._commit()
             if self.config.is_measured:
+                self.outputs.phases.clear()  # without a return, whose stamp would be later
                 self.begin_throw(replace(onset, clock_offset_ns=self._clock_offset_ns))
                 assert self.monitor is not None
                 self.monitor.advance(now_ns)  # since the start of the throw

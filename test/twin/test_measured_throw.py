@@ -293,6 +293,8 @@ def test_next_jump_after_a_rest_starts_a_throw_with_pending_changes() -> None:
     assert run.session.pending == {'layer.thickness': 0.0168}
     run.measure(begin_ns=run.begin_ns + 150_000_000, onset=1.0, duration=0.05)
     run.measure(begin_ns=run.begin_ns + 200_000_000)
+    stamps = [phase.stamp_ns for outputs in run.outputs for phase in outputs.phases]
+    assert stamps == sorted(stamps)
     assert run.session.throws == 2
     thicknesses = [result.rig.layer.thickness for result in run.results('release')]
     assert thicknesses == [0.0095, 0.0168]
