@@ -73,7 +73,7 @@ class RawSubscription:
     def drain(self, max_size: float = math.inf) -> list[Message]:
         """Return the next messages: at most `_DEPTH`, and none beyond a total size [bytes]."""
         messages: list[Message] = []
-        size = 0
+        size = received = 0
         with self._handle:
             while len(messages) < _DEPTH and size < max_size:  # a publisher may be faster
                 if (taken := self._handle.take_message(self._type, True)) is None:
@@ -85,7 +85,9 @@ class RawSubscription:
                 if gid is not None:
                     gid = bytes(gid['data'] if isinstance(gid, dict) else gid)
                 self._counter.add(number, gid)
-                received, sent = info['received_timestamp'], info['source_timestamp']
+                # messages stay in order; the time of one that was sent again may be later
+                received = max(received, info['received_timestamp'])
+                sent = info['source_timestamp']
                 messages.append(Message(self.channel, data, received, sent, number or 0))
                 size += len(data)
         self.received += len(messages)
