@@ -148,7 +148,7 @@ def _pattern_search(
         widths = np.where(is_better & is_edge[best], widths, (_PATCH[1] - _PATCH[0]) * widths)
         order = np.argsort(-values, kind='stable')
         points, values, widths = points[order], values[order], widths[order]
-        # end those much lower than the best, and those that a better one is in the middle of
+        # end searches far below the best one, and those close to a better one
         inner = (_PATCH[1] - _PATCH[0]) * spacing * widths[:, None, None]
         is_inside = (np.abs(points[:, None] - points) <= inner).all(axis=2)
         is_candidate = values >= (1.0 - NEAR * widths) * values[0]

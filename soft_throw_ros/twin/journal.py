@@ -95,25 +95,16 @@ def motion_source(entry: Entry) -> motions.MotionSource:
     return lambda path: motions.decode(entry.get('motions', {})[path])
 
 
-def encode_samples(batches: Sequence[tuple[int, Samples]]) -> Entry:
+def encode_samples(
+    steps: Sequence[int], stamps: bytes | bytearray, heights: bytes | bytearray
+) -> Entry:
     """
-    Encode batches of samples for an entry, each with the step that followed it.
+    Encode samples for an entry: the step that followed each, and the bytes of both arrays.
 
     Both texts are in base 64, of numbers of 8 bytes, little endian: `times` has the steps of all
     samples and then their stamps, as differences from the last one, compressed by zlib; `heights`
     has those of plate and projectile, whose noise cannot be compressed.
     """
-    return _encode_rows(
-        [step for step, samples in batches for _ in range(len(samples))],
-        b''.join([samples.stamps.tobytes() for _, samples in batches]),
-        b''.join([samples.heights.tobytes() for _, samples in batches]),
-    )
-
-
-def _encode_rows(
-    steps: Sequence[int], stamps: bytes | bytearray, heights: bytes | bytearray
-) -> Entry:
-    """Encode the steps, stamps and heights of samples, see `encode_samples`."""
     times = np.array((steps, np.frombuffer(stamps, '<i8')), '<i8')
     times[:, 1:] -= times[:, :-1]
     return {
@@ -137,11 +128,12 @@ def decode_samples(entry: Entry) -> list[tuple[int, Samples]]:
 
 def encode_onset(onset: Onset) -> Entry:
     """Encode an onset for an entry."""
+    samples = onset.samples
     return {
         'onset_ns': onset.onset_ns,
         'rest': [None if math.isnan(value) else value for value in onset.rest],
         'clock_offset_ns': onset.clock_offset_ns,
-        **encode_samples([(0, onset.samples)]),
+        **encode_samples([0] * len(samples), samples.stamps.tobytes(), samples.heights.tobytes()),
     }
 
 
@@ -235,6 +227,6 @@ class JournalWriter:
 
     def _flush(self, step: int) -> None:
         """Write the stored samples."""
-        entry = _encode_rows(self._steps, self._stamps, self._heights)
+        entry = encode_samples(self._steps, self._stamps, self._heights)
         self._steps, self._stamps, self._heights = [], bytearray(), bytearray()
         self.write('samples', step, **entry)

@@ -104,7 +104,7 @@ class ReleaseResponse:
         strips = 0.5 * np.diff(self.times, append=self.times[-1])
         # variances by later accelerations, over their density
         self.later = _integrals(strips, self.changes**2)
-        self.total = _integrals(strips, self.changes)
+        self.total = _integrals(strips, self.changes)[:, 0].copy()
 
 
 def pulse_of(motion: PlateMotion, since: Floats) -> Floats:
@@ -170,7 +170,7 @@ def _begin(
     s.ratio, s.settled = _FIRST_RATIO, -1.0
     for n in range(3):
         # by height, velocity and amplitude at the start: (D1) has the difference of two of them
-        by_amplitude = s.omega**2 * total[n, 0]
+        by_amplitude = s.omega**2 * total[n]
         by_state = -by_amplitude, changes[n, 0], by_amplitude
         for i in range(3):
             variance = deviations[i] ** 2
@@ -210,13 +210,14 @@ def _filter(
 def _follow(
     memory: NDArray[np.void], steps: NDArray[np.void], window: float, until: float
 ) -> tuple[Floats, Floats, int]:
-    """Return what `PlateObserver.motion` does; remove the steps of settled states."""
+    """Smooth and continue the states as `PlateObserver.motion`; remove the settled steps."""
     s, count, settled, last = memory[0], 0, 0, memory[0].settled
     ahead = max(math.ceil((until - s.time) / (_SPACING * window)), 0)
     times, states = np.empty(s.steps + ahead), np.empty((s.steps + ahead, 3))
     smoothed = _smooth(s, steps)
     for n in range(s.steps):
         time = steps[n].time
+        # 0.99, because times are rounded
         if time >= last + 0.99 * _SPACING * window or n == s.steps - 1:
             last = times[count] = time
             states[count] = smoothed[n]
@@ -270,7 +271,7 @@ def _smooth(s: Record, steps: NDArray[np.void]) -> Floats:
 def _errors(
     memory: NDArray[np.void], axis: Floats, later: Floats
 ) -> tuple[float, float, float]:
-    """Return what `PlateObserver.errors` does."""
+    """Compute the standard errors of speed and time of the release, and of the peak speed."""
     s, errors = memory[0], np.empty(3)
     ratio = max(1.0, s.ratio)  # larger errors if more than the noise acts
     for n in range(3):
@@ -366,7 +367,7 @@ class PlateObserver:
 def warm_up() -> None:
     """Compile or load the kernels."""
     memory, steps, one, rows = np.zeros(1, _MEMORY), np.zeros(2, STEP), np.ones(1), np.ones((3, 1))
-    _begin(memory, 1.0, 0.0, 1.0, 1.0, (1.0, 1.0, 1.0), rows, rows, steps)
+    _begin(memory, 1.0, 0.0, 1.0, 1.0, (1.0, 1.0, 1.0), rows, np.ones(3), steps)
     _filter(memory, one, one, one, 0.0, one, rows, steps)
     _follow(memory, steps, 1.0, 0.0)
     _errors(memory, one, rows)

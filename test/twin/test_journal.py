@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import pairwise
-import json
 import math
 from operator import itemgetter
 import re
@@ -94,8 +93,12 @@ batches = st.lists(samples, min_size=1, max_size=5).map(samples_of)
     ).map(partial(sorted, key=itemgetter(0)))
 )
 def test_encoded_samples_are_decoded_bit_by_bit(batches) -> None:
-    entry = {'kind': 'samples', 'step': batches[-1][0], **journal.encode_samples(batches)}
-    entry = journal.decode(json.dumps(entry))
+    lines: list[str] = []
+    writer = journal.JournalWriter(lines.append, step=batches[-1][0])
+    for step, batch in batches:
+        writer.keep_samples(step, batch)
+    writer.close(batches[-1][0])
+    (entry,) = map(journal.decode, lines)
     assert repr(journal.decode_samples(entry)) == repr(batches)
     assert entry['count'] == sum(len(batch) for _, batch in batches)
 
