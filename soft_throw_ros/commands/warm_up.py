@@ -22,6 +22,7 @@ import numpy as np
 from soft_throw_ros.commands.output import CommandParser, print_lines, run_command
 from soft_throw_ros.configuration import TWIN
 from soft_throw_ros.core import stepper
+from soft_throw_ros.core.throw import throw_many
 from soft_throw_ros.design.recommendation import solve_request
 from soft_throw_ros.twin import plate_monitor, plate_observer, sample_buffer
 from soft_throw_ros.twin.prepared_rig import prepare
@@ -78,7 +79,7 @@ def _run_kernels() -> None:
     """Run all kernels once: of throws with and without loss, of a design, of a measured plate."""
     for loss_tangent in (0.0, 0.1):
         settings = {**TWIN.defaults(), 'layer.loss_tangent': loss_tangent}
-        prepare(settings)
+        throw_many(prepare(settings).rig, loads=True)
         measured = prepare({**settings, 'engine.motion': 'measured'})
         if measured.ahead:
             measured.ahead[0].sync_from(measured.stepper, np.empty(0), np.empty((0, 3)))

@@ -39,7 +39,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core import material, stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import Floats, inlined, kernel, stepper_kernels, subroutine
@@ -199,12 +198,10 @@ def _solve(s, nodes):
 
 
 @kernel
-def _prepare(
-    core: Any, nodes: Any, counts: Any, sheets: Any, step: float, mass: float, gravity: float,
-    omega: float, peak_force: float,
-) -> None:
-    """Complete the third record but for the plate's motion, and cut the sheets, at rest."""
-    s = core[2]
+def _prepare(core: Any, counts: Any, sheets: Any, column: Any) -> Floats:
+    """Complete the third record but for the plate's motion; return the cut sheets, at rest."""
+    step, mass, gravity, omega, peak_force = column[0], column[1], column[2], column[3], column[4]
+    s, nodes = core[2], np.zeros((ROW.force + 1, counts.sum() + 2))
     s.step, s.mass, s.gravity = step, mass, gravity
     s.release_threshold = -stepper.FORCE_NOISE * peak_force
     s.event_time = s.fastest_shock = math.inf
@@ -248,6 +245,7 @@ def _prepare(
     s.rest_height = nodes[ROW.rest_height, top]
     s.loads[2] = weight
     s.forces[0, :], s.forces[1, :] = -weight, weight
+    return nodes
 
 
 @inlined
@@ -545,6 +543,26 @@ def _stored_energy(core: Any, nodes: Any) -> float:
 _kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=3)
 
 
+@kernel
+def _follow(core, nodes, number, plates, columns, latest, rows):
+    """Go on with the throws of a batch, see `stepper.follow_batch`."""
+    left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
+    counts, sheets, numbers = columns
+    while number < latest.size and left > 0.0:
+        if not nodes.size:
+            stepper.begin_throw(core, plates[:, number])
+            nodes = _prepare(core, counts[number], sheets[number], numbers[number])
+            core[0] = core[1] = core[2]
+        cost = _UPDATE_COST * nodes.shape[1] / core[0].step
+        begin = core[1].state[stepper.TIME]
+        until = min(latest[number], begin + stepper.SLICE / cost)
+        left -= cost * (until - begin)
+        if _advance(core, nodes, path, no_events, until) or until == latest[number]:
+            stepper.write_release(core, rows[:, number])
+            number, nodes = number + 1, np.empty((0, 0))
+    return number, nodes
+
+
 class _Grids:
     """
     Layers of some `rig.values_of`, or of arrays of them, cut into about so many cells.
@@ -588,16 +606,11 @@ class _Grids:
         maxwell = [modulus * spring for modulus in maxwell]
         rows = *law, *maxwell, viscosity, viscosity, implicit, inverse, mass
         self.steps, self._counts, self._lengths = steps[:, 0], counts, thickness / counts
-        self._columns = (
-            counts, np.stack(rows, axis=-1), self.steps, rigs.projectile.mass, rigs.gravity, omega,
+        numbers = np.broadcast_arrays(
+            self.steps, rigs.projectile.mass, rigs.gravity, omega,
             rigs.engine.speed_scale * rigs.layer.impedance,
         )
-
-    def prepare(self, core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        """Complete the third record for a layer, and return its nodes and `Stepper.cost`."""
-        nodes = np.zeros((ROW.force + 1, self._counts[n].sum() + 2))
-        _prepare(core, nodes, *(column[n] for column in self._columns))
-        return nodes, _UPDATE_COST * nodes.shape[1] / self.steps[n]
+        self.columns = counts, np.stack(rows, axis=-1), np.stack(numbers, axis=-1)
 
     def reading_points(self, number: int) -> Floats:
         """
@@ -634,9 +647,8 @@ def throw_batch(
         cells = np.minimum(np.ceil(finer * stepper.needed_cells(rigs)), CAPACITY)
     else:
         stepper.require_count('cells', cells, low=8, high=CAPACITY)
-    prepare = _Grids(values, layer, cells).prepare
-    latest = rigs.longest_wait
-    return stepper.follow_batch(RECORD, _kernels()[0], prepare, rigs, latest, cancelled)
+    columns = _Grids(values, layer, cells).columns
+    return stepper.follow_batch(_follow, RECORD, rigs, columns, rigs.longest_wait, cancelled)
 
 
 class CellStepper(Stepper):
@@ -654,8 +666,10 @@ class CellStepper(Stepper):
             cells = stepper.cells_in_real_time(rig, _UPDATE_COST / step, 2)
         stepper.require_count('cells', cells, low=1, high=CAPACITY)
         grids, core = _Grids(values, rig.layer, cells), np.zeros(3, RECORD)
-        nodes, self.cost = grids.prepare(core, 0)
+        counts, sheets, numbers = grids.columns
+        nodes = _prepare(core, counts[0], sheets[0], numbers[0])
         self.step = float(grids.steps[0])
+        self.cost = _UPDATE_COST * nodes.shape[1] / self.step
         super().__init__(rig, core, nodes, _kernels(), grids.reading_points, **options)
 
     @property

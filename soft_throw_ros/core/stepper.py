@@ -52,7 +52,7 @@ so that a third is enough for 1e-3. [-]
 FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
-_SLICE = 0.1
+SLICE = 0.1
 """Time of a processor between two looks at a flag. [s]"""
 
 _PIECES_PER_PERIOD = 32.0
@@ -311,35 +311,40 @@ class Stepper:
 
 
 def follow_batch(
-    record: np.dtype[np.void], advance: Callable[..., int],
-    prepare: Callable[[NDArray[np.void], int], tuple[Floats, float]],
-    rigs: Any, latest: Floats, cancelled: Cancelled | None,
+    follow: Callable[..., tuple[int, Floats]], record: np.dtype[np.void], rigs: Any,
+    columns: tuple[NDArray[Any], ...], latest: Floats, cancelled: Cancelled | None,
 ) -> Floats:
     """
     Follow throws to their first releases, or up to some latest times [s], without steppers.
 
-    `prepare` completes the third record of a throw by its number, and returns its layer and its
-    `Stepper.cost`; `rigs` are `rig.scales_of` the throws. The result has the rows time (NaN
-    without a release), speed, largest strain, acceleration and plate force, and work of the plate.
+    `follow` is a kernel that goes on with a number of throws for about `SLICE`, and returns the
+    number and the layer of the one under way; `rigs` are `rig.scales_of` the throws, and
+    `columns` are its own. The result has the rows time (NaN without a release), speed, largest
+    strain, acceleration and plate force, and work of the plate.
     """
-    engines, omega = rigs.engine, rigs.engine.angular_frequency
-    core, no_events = np.zeros(3, record), np.empty((0, 4))
-    numbers = core.view(np.float64).reshape(3, -1)
-    rows = np.empty((6, latest.size))
-    for n in range(latest.size):
-        numbers[:] = 0.0
-        write_damped(core, engines.amplitude[n], omega[n], engines.damping_ratio[n])
-        layer, cost = prepare(core, n)
-        looks = 1 + int(cost * latest[n] / _SLICE)
-        numbers[:2] = numbers[2]
-        for look in range(1, looks + 1):
-            check_cancelled(cancelled)
-            if advance(core, layer, NO_PATH, no_events, latest[n] * (look / looks)):
-                break
-        now = core[1]
-        time = now['event_time'] if now['events'] else math.nan
-        rows[:, n] = time, now['event_velocity'], *now['loads'], now['work']
+    engines = rigs.engine
+    plates = np.array([engines.amplitude, engines.angular_frequency, engines.damping_ratio])
+    core, rows = np.zeros(4, record), np.empty((6, latest.size))
+    number, layer = 0, np.empty((0, 0))
+    while number < latest.size:
+        check_cancelled(cancelled)
+        number, layer = follow(core, layer, number, plates, columns, latest, rows)
     return rows
+
+
+@subroutine
+def begin_throw(core: NDArray[np.void], plate: Floats) -> None:
+    """Write a damped step into the third record of a batch, whose fourth one is empty."""
+    core[2] = core[3]
+    write_damped(core, plate[0], plate[1], plate[2])
+
+
+@subroutine
+def write_release(core: NDArray[np.void], row: Floats) -> None:
+    """Write the first release of a throw, if any, and its loads into a row of `follow_batch`."""
+    s = core[1]
+    row[0], row[1] = s.event_time if s.events else math.nan, s.event_velocity
+    row[2:5], row[5] = s.loads, s.work
 
 
 @kernel

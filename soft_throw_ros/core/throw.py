@@ -352,7 +352,7 @@ def throw_many(
     has_stepper = (has_cells & ~is_lossy & (cells is None)) | (rig.engine.motion is not None)
     for run, chosen, size in (  # of a batch, some milliseconds
         (by_closed_form, ~has_stepper & ~has_cells, 256),
-        (by_cells, ~has_stepper & has_cells, 32),
+        (by_cells, ~has_stepper & has_cells, 128),
         (by_steppers, has_stepper, 8),
     ):
         run_batches(run, np.flatnonzero(chosen & exist), size=size, cancelled=cancelled)

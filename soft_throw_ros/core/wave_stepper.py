@@ -37,12 +37,11 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from soft_throw_ros.core import stepper
 from soft_throw_ros.core.batch import Cancelled
 from soft_throw_ros.core.kernels import Floats, inlined, kernel, stepper_kernels, subroutine
@@ -129,9 +128,12 @@ def _moments(x):
 
 
 @kernel
-def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedance, speed):
-    """Complete the third record, which has the plate's motion already."""
-    s = core[2]
+def _prepare(core, column):
+    """Complete the third record but for the plate's motion, and return the waves."""
+    s, N = core[2], int(column[0])
+    strains, thickness, crossing, relaxation, gravity, impedance, speed = (
+        column[1], column[2], column[3], column[4], column[5], column[6], column[7]
+    )
     s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
     decay, m0, m1, m2, m3 = _moments(s.rate)
     s.decay = decay
@@ -154,6 +156,7 @@ def _prepare(core, N, strains, thickness, crossing, relaxation, gravity, impedan
     while N % s.stride > 0:
         s.stride -= 1
     s.peak_plate_stress = s.peak_strain = s.gravity_offset  # at rest the weight is all there is
+    return np.zeros((2, 4 * N + _SPARE_STEPS))
 
 
 @subroutine
@@ -459,21 +462,33 @@ def _read_layer(core, waves, out):
 _kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=2)
 
 
-def _preparer(rigs: Any, steps: Any) -> Callable[[NDArray[np.void], int], tuple[Floats, float]]:
-    """Return a function that completes the third record, and returns waves and `Stepper.cost`."""
+@kernel
+def _follow(core, waves, number, plates, columns, latest, rows):
+    """Go on with the throws of a batch, see `stepper.follow_batch`."""
+    left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
+    while number < latest.size and left > 0.0:
+        if not waves.size:
+            stepper.begin_throw(core, plates[:, number])
+            waves = _prepare(core, columns[0][number])
+            core[0] = core[1] = core[2]
+        cost, begin = _STEP_COST / core[0].step, core[1].state[stepper.TIME]
+        until = min(latest[number], begin + stepper.SLICE / cost)
+        left -= cost * (until - begin)
+        if _advance(core, waves, path, no_events, until) or until == latest[number]:
+            stepper.write_release(core, rows[:, number])
+            number, waves = number + 1, np.empty((0, 0))
+    return number, waves
+
+
+def _columns_of(rigs: Any, steps: Any) -> Floats:
+    """Return the columns of `_prepare` for rigs, of shape (n, 8)."""
     # Strains to compare in a crossing, for the largest to 1e-3
     strains = np.maximum(0.5 * stepper.needed_cells(rigs), stepper.PER_PERIOD / rigs.speed_ratio)
-    columns = [np.atleast_1d(column) for column in (
+    columns = (
         steps, strains, rigs.layer.thickness, rigs.crossing_time, rigs.relaxation_time,
         rigs.gravity, rigs.layer.impedance, rigs.engine.speed_scale,
-    )]
-
-    def prepare(core: NDArray[np.void], n: int) -> tuple[Floats, float]:
-        _prepare(core, *(column[n] for column in columns))
-        N, step = int(core[2]['steps']), float(core[2]['step'])
-        return np.zeros((2, 4 * N + _SPARE_STEPS)), _STEP_COST / step
-
-    return prepare
+    )
+    return np.stack(np.atleast_1d(*columns), axis=-1)
 
 
 class WaveStepper(Stepper):
@@ -516,7 +531,8 @@ class WaveStepper(Stepper):
             steps -= steps % 32
         self.steps = stepper.require_count('steps', steps, low=16, high=CAPACITY)
         core = np.zeros(3, RECORD)
-        waves, self.cost = _preparer(rig, self.steps)(core, 0)
+        waves = _prepare(core, _columns_of(rig, self.steps)[0])
+        self.cost = _STEP_COST / float(core[2]['step'])
         super().__init__(rig, core, waves, _kernels(), **options)
 
 
@@ -533,5 +549,5 @@ def throw_batch(
     rigs = scales_of(values)
     steps = 32 * np.ceil(np.minimum(stepper.needed_cells(rigs), _STEPS) / 32.0).astype(np.int64)
     latest = until + rigs.crossing_time / steps
-    prepare = _preparer(rigs, steps)
-    return stepper.follow_batch(RECORD, _kernels()[0], prepare, rigs, latest, cancelled)
+    columns = _columns_of(rigs, steps)
+    return stepper.follow_batch(_follow, RECORD, rigs, (columns,), latest, cancelled)
