@@ -214,10 +214,12 @@ class PredictionUncertainty:
 
 
 def prediction_uncertainty(
-    rig: Rig, uncertainties: Uncertainties | None = None
+    rig: Rig, uncertainties: Uncertainties | None = None, *, cancelled: Cancelled | None = None
 ) -> PredictionUncertainty:
     """
     Compute the intervals of the first release, by default with the uncertainties of the paper.
+
+    SearchCancelledError follows when `cancelled` returns True.
 
     Examples
     --------
@@ -226,7 +228,7 @@ def prediction_uncertainty(
     (7.455, 7.846)
 
     """
-    throws = _throws(rig, uncertainties or Uncertainties(), _SAMPLE, None)
+    throws = _throws(rig, uncertainties or Uncertainties(), _SAMPLE, cancelled)
     is_released = throws.ejection_speed > 0.0
     if not is_released.any():
         raise ThrowUnresolvedError('the projectile does not leave within the uncertainties')

@@ -14,7 +14,7 @@ from typing import Any
 import zlib
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from soft_throw_ros.configuration import motions, rig_values, Settings, TWIN
+from soft_throw_ros.configuration import motions, rig_values, TWIN
 from soft_throw_ros.configuration.layers import library
 from soft_throw_ros.configuration.twin_config import TwinConfig
 from soft_throw_ros.core.batch import leave_processors, SearchCancelledError
@@ -132,7 +132,9 @@ class Recommender:
             state = recommend_for(config, self._is_waiting.is_set)
             if not self._is_waiting.is_set():
                 self._publish(state)
-                self.uncertainty = config.rig, uncertainty_values(config.rig, config.settings)
+                self.uncertainty = config.rig, uncertainty_values(config, self._is_waiting.is_set)
+        except SearchCancelledError:
+            return  # for a newer request
         except Exception as error:  # noqa: BLE001  later requests must still be answered
             traceback.print_exc()
             reason = f'the search has failed: {error!r}'
@@ -144,15 +146,16 @@ def recommend_for(config: TwinConfig, cancelled: Callable[[], bool]) -> Recommen
     best, reason = None, ''
     try:
         best = solve_request(config.settings, rig=config.rig, cancelled=cancelled)
-    except (SearchCancelledError, ValueError) as error:
+    except ValueError as error:
         reason = str(error)
     return RecommendationState(config=config, best=best, reason=reason)
 
 
-def uncertainty_values(rig: Rig, settings: Settings) -> dict[str, float]:
+def uncertainty_values(config: TwinConfig, cancelled: Callable[[], bool]) -> dict[str, float]:
     """Return the uncertainty of a rig's throw, as values of a status."""
+    uncertainties = Uncertainties.from_settings(config.settings)
     try:
-        uncertainty = prediction_uncertainty(rig, Uncertainties.from_settings(settings))
+        uncertainty = prediction_uncertainty(config.rig, uncertainties, cancelled=cancelled)
     except ValueError:
         return {}
     return {f'uncertainty.{name}': value for name, value in uncertainty.values().items()}

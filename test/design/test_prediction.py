@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from soft_throw_ros.core.batch import ThrowUnresolvedError
+from soft_throw_ros.core.batch import SearchCancelledError, ThrowUnresolvedError
 from soft_throw_ros.core.rig import Engine, Layer, Rig
 from soft_throw_ros.core.throw import rig_with, throw_many
 from soft_throw_ros.design.prediction import (
@@ -98,3 +98,8 @@ def test_share_held_by_gravity_is_counted():
     assert 'no release in' in str(prediction)
     with pytest.raises(ThrowUnresolvedError, match='does not leave within the uncertainties'):
         prediction_uncertainty(Rig(engine=Engine(frequency=3.0)), NONE)
+
+
+def test_uncertainty_ends_when_cancelled():
+    with pytest.raises(SearchCancelledError):
+        prediction_uncertainty(Rig(), cancelled=lambda: True)
