@@ -548,7 +548,7 @@ def _follow(core, nodes, number, plates, columns, latest, rows):
     """Go on with the throws of a batch, see `stepper.follow_batch`."""
     left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
     counts, sheets, numbers = columns
-    while number < latest.size and left > 0.0:
+    while number < latest.size and left > 1e-6:
         if not nodes.size:
             stepper.begin_throw(core, plates[:, number])
             nodes = _prepare(core, counts[number], sheets[number], numbers[number])

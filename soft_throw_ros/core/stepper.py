@@ -52,7 +52,7 @@ so that a third is enough for 1e-3. [-]
 FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
-SLICE = 0.1
+SLICE = 0.05
 """Time of a processor between two looks at a flag. [s]"""
 
 _PIECES_PER_PERIOD = 32.0

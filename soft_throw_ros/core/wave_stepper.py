@@ -466,7 +466,7 @@ _kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=2)
 def _follow(core, waves, number, plates, columns, latest, rows):
     """Go on with the throws of a batch, see `stepper.follow_batch`."""
     left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
-    while number < latest.size and left > 0.0:
+    while number < latest.size and left > 1e-6:
         if not waves.size:
             stepper.begin_throw(core, plates[:, number])
             waves = _prepare(core, columns[0][number])
