@@ -197,6 +197,14 @@ def test_single_throw_looks_at_the_flag_several_times(compute, loss):
         compute(rig, cancelled=lambda: next(calls) > 0)
 
 
+def test_slow_throw_of_a_batch_is_computed_in_parts():
+    rig, looks = Rig(layer=Layer(thickness=2e-3, wave_speed=30.0, loss_tangent=0.1)), []
+    throws = throw_many(rig, cells=1000, cancelled=lambda: bool(looks.append(0)))
+    release = CellStepper(rig, cells=1000).advance_to_release(latest=0.01)
+    assert throws[:2] == (release.time, release.velocity)
+    assert len(looks) > 4
+
+
 @pytest.mark.parametrize('rig', [Rig(), Rig(layer=STACK), SHAKEN], ids=str)
 def test_changes_agree_with_another_rig(rig):
     changed = rig_with(rig, CHANGES)
