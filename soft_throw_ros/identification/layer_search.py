@@ -50,7 +50,6 @@ _MAX_EVALUATIONS = 10  # largest number of evaluations of the model in a fit of 
 _MAX_RIVAL_EVALUATIONS = 50  # largest number of evaluations in a fit of another minimum
 _MAX_RIVALS = 2  # largest number of fits of other minima, the most promising ones first
 _RIVAL_RATIO = 3.0  # chi squared of a rival up to two periods, relative to the best
-_GOOD = 1.1  # chi squared per degree of freedom of a fit that needs no other start
 _NEIGHBOURS = (0.985, 1.015)  # wave speeds of other starts, relative to the best
 _MIN_SEPARATION = 4.0  # smallest distance of another minimum, in chi squared of the fit's parabola
 _LAYER_TOLERANCE = 5e-3  # relative difference below which two layers count as equal
@@ -88,7 +87,7 @@ def find_best_minimum(model: RigModel, fit: Fit, candidates: Sequence[Fit]) -> F
         rival.by_name for rival in candidates[1:][:_MAX_RIVALS]
         if rival.chi2 < _RIVAL_RATIO * candidates[0].chi2
     ]
-    if candidates and fit.reduced_chi2 > _GOOD and _SPEED in candidates[0]:
+    if candidates and fit.is_mismatch and _SPEED in candidates[0]:
         # a kink may stop the solver at once, where a contact begins or ends
         first = candidates[0].by_name
         starts += [{**first, _SPEED: factor * first[_SPEED]} for factor in _NEIGHBOURS]

@@ -32,7 +32,8 @@ from soft_throw_ros.identification.tracks import Floats, Track
 
 _LIMIT = 5.0  # residual of an outlier [noise]; by chance once in 2e6
 _NORMAL = 1.4826  # standard deviation of normal numbers over their median deviation
-_TOLERANCE = 1e-8  # relative tolerance of chi squared: 1e-2 of an error, as exact as steppers
+_TOLERANCE = 1e-6  # relative tolerance of chi squared: 3e-2 of an error
+_ROUGHLY = 1e-3  # the same before outliers are known
 _MAX_DENSE_PARAMETERS = 40  # more ones are of many throws, and their Jacobian is sparse
 _MISMATCH = 9.0  # excess of chi squared per degree, times the root of the degrees; by chance 1e-4
 _SLOW_WINDOW = 25  # number of residuals in a mean that shows systematic errors
@@ -203,21 +204,22 @@ def fit_tracks(
         slopes = np.concatenate([jacobian(values) / noise[:, None], priors])
         return sparse.csr_matrix(slopes) if values.size > _MAX_DENSE_PARAMETERS else slopes
 
-    def solve(begin: Floats, **loss: Any) -> Any:
+    def solve(begin: Floats, tolerance: float, **loss: Any) -> Any:
         try:
             with np.errstate(divide='raise', over='raise', invalid='raise'):
                 return optimize.least_squares(
                     residuals, begin, jac=slopes_of if jacobian else '3-point', bounds=bounds,
-                    x_scale='jac', xtol=_TOLERANCE, ftol=_TOLERANCE, gtol=_TOLERANCE,
+                    x_scale='jac', xtol=tolerance, ftol=tolerance, gtol=tolerance,
                     max_nfev=max_evaluations, **loss,
                 )
         except FloatingPointError:
             raise FitError('the heights of the tracks are too large for a fit') from None
 
-    solution = solve(np.clip(start, *bounds))
+    solution = solve(np.clip(start, *bounds), _ROUGHLY)
     limit = _LIMIT * max(1.0, _NORMAL * float(np.median(np.abs(solution.fun))))
-    if (np.abs(solution.fun[:samples]) > limit).any():
-        solution = solve(solution.x, loss='huber', f_scale=limit)
+    is_far = (np.abs(solution.fun[:samples]) > limit).any()
+    loss = {'loss': 'huber', 'f_scale': limit} if is_far else {}
+    solution = solve(solution.x, _TOLERANCE, **loss)
     squares = solution.fun**2
     squares[:samples] = np.minimum(squares[:samples], limit**2)
     chi2 = float(squares.sum())

@@ -6,7 +6,8 @@ Systematic errors, which tracks hardly show, as floors of the errors of the resu
 A layer that sticks, a stress that is no linear function of the strain, or another motion of the
 plate change a throw by more than the tracks show. The floors are added to the standard errors in
 quadrature. They grow with the oscillations that the residuals of the plate show, and with those
-that its noise may hide. `make trials` calibrates them: 95 % of the intervals contain the truth.
+that its noise may hide. `make trials` calibrates them: with smaller ones, some of its trials are
+silently wrong.
 """
 
 from __future__ import annotations
