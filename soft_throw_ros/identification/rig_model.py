@@ -46,6 +46,7 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     'layer.diameter': (1e-4, 1.0),
     'projectile.mass': (1e-7, 1e3),
 }
+_MASS, _DIAMETER = 'projectile.mass', 'layer.diameter'
 _UNBOUNDED = (-math.inf, math.inf)
 _STEP = 3e-4  # relative step of derivatives, large against the errors of steppers
 _STEPS = {'engine.damping_ratio': 3e-5, 'layer.loss_tangent': 3e-4}  # absolute
@@ -270,7 +271,7 @@ class RigModel:
 
     def jacobian(self, values: Floats, only: Collection[str] = ()) -> Floats:
         """Return the derivatives of `predict` by all or some parameters."""
-        blocks = []
+        blocks, has_both = [], {_MASS, _DIAMETER} <= self.indices.keys()
         for throw, body, track in self.series:
             block = np.zeros((track.time.size, values.size))
             now = self.trajectory(values, throw, body, track.time)
@@ -279,6 +280,8 @@ class RigModel:
                     'plate' if body == 'plate' else ('projectile', 'layer')
                 )
                 if throw not in by_throw or not is_of_body or (only and name not in only):
+                    continue
+                if name == _MASS and has_both:
                     continue
                 index = by_throw[throw]
                 if name in (START, 'projectile.delay'):
@@ -291,6 +294,10 @@ class RigModel:
                 moved[index] += step if is_within else -step
                 change = self.trajectory(moved, throw, body, track.time).height - now.height
                 block[:, index] = change / (moved[index] - values[index])
+            if has_both and body == 'projectile':
+                # both enter by the relaxation time m / (rho_s S c_s) alone
+                mass, diameter = (self.indices[name][throw] for name in (_MASS, _DIAMETER))
+                block[:, mass] = -0.5 * values[diameter] / values[mass] * block[:, diameter]
             blocks.append(block)
         return np.concatenate(blocks)
 
