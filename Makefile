@@ -217,8 +217,7 @@ lock:
 
 # numba recompiles a kernel when its own file changes, but not when a called kernel in another file does.
 # The lock and the second check keep a make from deleting kernels that a concurrent make has compiled.
-$(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/design/*.py \
-	soft_throw_ros/simulated_rig/*.py)
+$(KERNELS): $(wildcard soft_throw_ros/core/*.py soft_throw_ros/twin/*.py)
 	@mkdir -p $(@D)
 	@flock $@.lock sh -c 'test -e $@ && test -z "$$(find $? -newer $@)" || \
 		{ find soft_throw_ros -name "*.nb[ic]" -delete; touch $@; }'
