@@ -198,9 +198,11 @@ def _solve(s, nodes):
 
 
 @kernel
-def _prepare(core: Any, counts: Any, sheets: Any, column: Any) -> Floats:
+def _prepare(core: Any, counts: Any, sheets: Any, numbers: Any) -> Floats:
     """Complete the third record but for the plate's motion; return the cut sheets, at rest."""
-    step, mass, gravity, omega, peak_force = column[0], column[1], column[2], column[3], column[4]
+    step, mass, gravity, omega, peak_force = (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    )
     s, nodes = core[2], np.zeros((ROW.force + 1, counts.sum() + 2))
     s.step, s.mass, s.gravity = step, mass, gravity
     s.release_threshold = -stepper.FORCE_NOISE * peak_force
@@ -544,11 +546,11 @@ _kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=3)
 
 
 @kernel
-def _follow(core, nodes, number, plates, columns, latest, rows):
+def _follow(core, nodes, number, plates, arrays, latest, rows):
     """Go on with the throws of a batch, see `stepper.follow_batch`."""
     left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
-    counts, sheets, numbers = columns
-    while number < latest.size and left > 1e-6:
+    counts, sheets, numbers = arrays
+    while number < latest.size and left > stepper.ROUNDING:
         if not nodes.size:
             stepper.begin_throw(core, plates[:, number])
             nodes = _prepare(core, counts[number], sheets[number], numbers[number])
@@ -610,7 +612,7 @@ class _Grids:
             self.steps, rigs.projectile.mass, rigs.gravity, omega,
             rigs.engine.speed_scale * rigs.layer.impedance,
         )
-        self.columns = counts, np.stack(rows, axis=-1), np.stack(numbers, axis=-1)
+        self.arrays = counts, np.stack(rows, axis=-1), np.stack(numbers, axis=-1)
 
     def reading_points(self, number: int) -> Floats:
         """
@@ -647,8 +649,8 @@ def throw_batch(
         cells = np.minimum(np.ceil(finer * stepper.needed_cells(rigs)), CAPACITY)
     else:
         stepper.require_count('cells', cells, low=8, high=CAPACITY)
-    columns = _Grids(values, layer, cells).columns
-    return stepper.follow_batch(_follow, RECORD, rigs, columns, rigs.longest_wait, cancelled)
+    arrays = _Grids(values, layer, cells).arrays
+    return stepper.follow_batch(_follow, RECORD, rigs, arrays, rigs.longest_wait, cancelled)
 
 
 class CellStepper(Stepper):
@@ -666,7 +668,7 @@ class CellStepper(Stepper):
             cells = stepper.cells_in_real_time(rig, _UPDATE_COST / step, 2)
         stepper.require_count('cells', cells, low=1, high=CAPACITY)
         grids, core = _Grids(values, rig.layer, cells), np.zeros(3, RECORD)
-        counts, sheets, numbers = grids.columns
+        counts, sheets, numbers = grids.arrays
         nodes = _prepare(core, counts[0], sheets[0], numbers[0])
         self.step = float(grids.steps[0])
         self.cost = _UPDATE_COST * nodes.shape[1] / self.step

@@ -53,7 +53,10 @@ FORCE_NOISE = 1e-11
 """Rounding of the contact force, over impedance times the plate's peak speed. [-]"""
 
 SLICE = 0.05
-"""Time of a processor between two looks at a flag. [s]"""
+"""Time of a processor between two looks at a flag, as estimated by `Stepper.cost`. [s]"""
+
+ROUNDING = 1e-6
+"""Rest of `SLICE` that is rounding. [s]"""
 
 _PIECES_PER_PERIOD = 32.0
 """Pieces in a period of a damped step, whose speeds err by 1e-8 of the largest. [-]"""
@@ -312,15 +315,16 @@ class Stepper:
 
 def follow_batch(
     follow: Callable[..., tuple[int, Floats]], record: np.dtype[np.void], rigs: Any,
-    columns: tuple[NDArray[Any], ...], latest: Floats, cancelled: Cancelled | None,
+    arrays: Any, latest: Floats, cancelled: Cancelled | None,
 ) -> Floats:
     """
     Follow throws to their first releases, or up to some latest times [s], without steppers.
 
     `follow` is a kernel that goes on with a number of throws for about `SLICE`, and returns the
-    number and the layer of the one under way; `rigs` are `rig.scales_of` the throws, and
-    `columns` are its own. The result has the rows time (NaN without a release), speed, largest
-    strain, acceleration and plate force, and work of the plate.
+    number and the layer of the one under way; `rigs` are `rig.scales_of` the throws, and it
+    prepares each by its row of `arrays`. Each model has its own, because numba caches no kernel
+    that takes a function. The result has the rows time (NaN without a release),
+    speed, largest strain, acceleration and plate force, and work of the plate.
     """
     engines = rigs.engine
     plates = np.array([engines.amplitude, engines.angular_frequency, engines.damping_ratio])
@@ -328,7 +332,7 @@ def follow_batch(
     number, layer = 0, np.empty((0, 0))
     while number < latest.size:
         check_cancelled(cancelled)
-        number, layer = follow(core, layer, number, plates, columns, latest, rows)
+        number, layer = follow(core, layer, number, plates, arrays, latest, rows)
     return rows
 
 

@@ -128,11 +128,11 @@ def _moments(x):
 
 
 @kernel
-def _prepare(core, column):
+def _prepare(core, numbers):
     """Complete the third record but for the plate's motion, and return the waves."""
-    s, N = core[2], int(column[0])
+    s, N = core[2], int(numbers[0])
     strains, thickness, crossing, relaxation, gravity, impedance, speed = (
-        column[1], column[2], column[3], column[4], column[5], column[6], column[7]
+        numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7]
     )
     s.step, s.steps, s.rate = crossing / N, N, crossing / N / relaxation
     decay, m0, m1, m2, m3 = _moments(s.rate)
@@ -463,13 +463,13 @@ _kernels = stepper_kernels(RECORD, _advance, _read_layer, arrays=2)
 
 
 @kernel
-def _follow(core, waves, number, plates, columns, latest, rows):
+def _follow(core, waves, number, plates, numbers, latest, rows):
     """Go on with the throws of a batch, see `stepper.follow_batch`."""
     left, path, no_events = stepper.SLICE, np.empty((7, 0)), np.empty((0, 4))
-    while number < latest.size and left > 1e-6:
+    while number < latest.size and left > stepper.ROUNDING:
         if not waves.size:
             stepper.begin_throw(core, plates[:, number])
-            waves = _prepare(core, columns[0][number])
+            waves = _prepare(core, numbers[number])
             core[0] = core[1] = core[2]
         cost, begin = _STEP_COST / core[0].step, core[1].state[stepper.TIME]
         until = min(latest[number], begin + stepper.SLICE / cost)
@@ -480,8 +480,8 @@ def _follow(core, waves, number, plates, columns, latest, rows):
     return number, waves
 
 
-def _columns_of(rigs: Any, steps: Any) -> Floats:
-    """Return the columns of `_prepare` for rigs, of shape (n, 8)."""
+def _numbers_of(rigs: Any, steps: Any) -> Floats:
+    """Return the numbers for `_prepare` of each rig, shape (n, 8)."""
     # Strains to compare in a crossing, for the largest to 1e-3
     strains = np.maximum(0.5 * stepper.needed_cells(rigs), stepper.PER_PERIOD / rigs.speed_ratio)
     columns = (
@@ -531,7 +531,7 @@ class WaveStepper(Stepper):
             steps -= steps % 32
         self.steps = stepper.require_count('steps', steps, low=16, high=CAPACITY)
         core = np.zeros(3, RECORD)
-        waves = _prepare(core, _columns_of(rig, self.steps)[0])
+        waves = _prepare(core, _numbers_of(rig, self.steps)[0])
         self.cost = _STEP_COST / float(core[2]['step'])
         super().__init__(rig, core, waves, _kernels(), **options)
 
@@ -549,5 +549,5 @@ def throw_batch(
     rigs = scales_of(values)
     steps = 32 * np.ceil(np.minimum(stepper.needed_cells(rigs), _STEPS) / 32.0).astype(np.int64)
     latest = until + rigs.crossing_time / steps
-    columns = _columns_of(rigs, steps)
-    return stepper.follow_batch(_follow, RECORD, rigs, (columns,), latest, cancelled)
+    numbers = _numbers_of(rigs, steps)
+    return stepper.follow_batch(_follow, RECORD, rigs, numbers, latest, cancelled)

@@ -282,7 +282,7 @@ class RigModel:
                 if throw not in by_throw or not is_of_body or (only and name not in only):
                     continue
                 if name == _MASS and has_both:
-                    continue
+                    continue  # see below
                 index = by_throw[throw]
                 if name in (START, 'projectile.delay'):
                     block[:, index] = -now.velocity
